@@ -10,8 +10,8 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.control.controller import MAX_PLAN_LEAD, Controller, ControllerSettings
-from contact_reach_ros.control.references import Reference, ReferenceQueue, References
+from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.references import Reference, References
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
@@ -53,12 +53,6 @@ def mobility(model: RobotModel) -> np.ndarray:
     return model.jacobian @ np.linalg.solve(model.mass_matrix, model.jacobian.T)
 
 
-def null_space_projection(model: RobotModel) -> np.ndarray:
-    """N of law (2), (n, n), for the state of the last update, which must not be singular."""
-    inverse_mass, jacobian = np.linalg.inv(model.mass_matrix), model.jacobian
-    return np.eye(ARM.n) - inverse_mass @ jacobian.T @ np.linalg.inv(mobility(model)) @ jacobian
-
-
 def ideal_plant(
     start: np.ndarray = HOME,
     obstacles: tuple[Obstacle, ...] = (),
@@ -84,25 +78,11 @@ def references_of(knots: list[Reference], stamp_ns: int, ends_ns: tuple[int, ...
     return References(stamp_ns, ends_ns, positions, rotations, np.array([knot.posture for knot in knots]))
 
 
-def offer_plan(
-    controller: Controller, references: list[Reference], stamp_ns: int, ends_ns: tuple[int, ...], now_ns: int
-) -> None:
-    """Give the controller a plan."""
-    controller.references.offer(references_of(references, stamp_ns, ends_ns), now_ns)
-
-
 FAR = {"max_position_error": 10.0, "max_rotation_error": 3.2, "max_posture_error": 7.0}
 """Settings of supervision for references at any distance."""
 
 UNWATCHED = ControllerSettings(supervision=SupervisionSettings(require_observer=False, **FAR))
 """For controllers that nobody watches, and that may be pulled from afar."""
-
-
-def patient_controller(settings: ControllerSettings, period: float = TICK) -> Controller:
-    """A controller for plans that last as long as a test."""
-    controller = Controller(ARM, settings, period)
-    controller.references = ReferenceQueue(ARM.n, MAX_PLAN_LEAD)
-    return controller
 
 
 class ClosedLoop:
@@ -113,7 +93,7 @@ class ClosedLoop:
     ) -> None:
         """`late`: number of states by which each command acts later than it should; `period` of the states, s."""
         self.plant = plant
-        self.controller = patient_controller(settings or UNWATCHED, period)
+        self.controller = Controller(ARM, settings or UNWATCHED, period)
         self.torques: list[np.ndarray] = []
         self._late = late
         self._steps = round(period / TICK)
@@ -147,6 +127,10 @@ class ClosedLoop:
         """Advance without looking."""
         for _ in self.run(seconds):
             pass
+
+    def plan(self, knots: list[Reference], *ends_ns: int) -> None:
+        """Give the controller a plan from now on."""
+        self.controller.follow(references_of(knots, self.now_ns, ends_ns))
 
     def reference(self) -> Reference:
         """The pose and posture that the arm has."""

@@ -5,7 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
 from contact_reach_command import contact_reach
 
 SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
@@ -25,14 +24,8 @@ def test_it_ends_without_a_word_where_nobody_reads_its_output() -> None:
     assert (process.returncode, errors) == (1, "")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        ([], {"bag": ""}),
-        (["bags/sample", "--port", "0"], {"bag": "bags/sample", "port": 0}),
-    ],
-)
-def test_view_passes_on_what_is_given_and_no_bag_for_the_running_stack(monkeypatch, arguments, expected):
+def test_view_passes_on_what_is_given_and_no_bag_for_the_running_stack(monkeypatch):
     given = []
     monkeypatch.setattr("contact_reach_ros.nodes.viewer.view", lambda chosen, *_: given.append(chosen) or 0)
-    assert contact_reach("view", *arguments) == 0 and given == [expected]
+    assert contact_reach("view") == contact_reach("view", "bags/sample", "--port", "0") == 0
+    assert given == [{"bag": ""}, {"bag": "bags/sample", "port": 0}]

@@ -1,6 +1,5 @@
 """Every command in the documentation is one that there is, and those that need no robot do what they should."""
 
-import argparse
 import contextlib
 import importlib
 import io
@@ -14,10 +13,10 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 import yaml
-from docs_commands import NODE, PAGES, PROGRAM, ROOT, Command, commands
 from ros_domains import fresh_domain
 
 from contact_reach_ros.arm.urdf import build_urdf
@@ -29,6 +28,46 @@ from contact_reach_ros.nodes import replay
 from contact_reach_ros.presets import SECTIONS
 from contact_reach_ros.ros.interfaces import INTERFACES
 from contact_reach_ros.ros.parameters import check_arguments, without_ros_arguments
+
+ROOT = Path(__file__).parents[1]
+PAGES = ("README.md", "bags/README.md", "benchmarks/*.md", *(f"{folder}/*.md" for folder in ("docs", "msg_docs")))
+PROGRAM = ("contact-reach", ".venv/bin/contact-reach")
+NODE = re.compile(r"\.venv/bin/(?!contact-reach)(\w+)")
+
+
+class Command(NamedTuple):
+    """One command of a page."""
+
+    page: str
+    line: str
+    """As a shell takes it, without its comment."""
+
+    @property
+    def words(self) -> list[str]:
+        """Program and arguments, without variables that are set for it."""
+        words = shlex.split(self.line)
+        while re.match(r"[A-Z_]+=", words[0]):
+            words = words[1:]
+        return words
+
+
+def commands() -> list[Command]:
+    """All commands, page by page in their order."""
+    pages = sorted(page for pattern in PAGES for page in ROOT.glob(pattern))
+    return [Command(str(page.relative_to(ROOT)), line) for page in pages for line in _lines(page)]
+
+
+def _lines(page: Path) -> list[str]:
+    lines = []
+    for language, block in re.findall(r"^```(\w*)\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE):
+        if language:
+            continue
+        joined = re.sub(r"\\\n\s*", " ", block)
+        # A loop is one command.
+        joined = re.sub(r"^for .*?^done$", lambda loop: "; ".join(loop[0].split("\n")), joined, flags=re.S | re.M)
+        lines += [re.sub(r"\s+# .*", "", line) for line in joined.splitlines() if line.strip()]
+    return lines
+
 
 COMMANDS = commands()
 TEXTS = sorted(page for pattern in (*PAGES, "CHANGELOG.md") for page in ROOT.glob(pattern))
@@ -73,10 +112,6 @@ def check_program(arguments):
         BringupOptions.from_mapping({name: value for name, value in options.items() if name in names}, "up")
 
 
-def check_benchmark(name, *arguments):
-    check_module(f"benchmarks.{name.removeprefix('NAME=')}", " ".join(arguments).removeprefix("ARGS="))
-
-
 def check_module(module, arguments):
     main_of = importlib.import_module(module).main
     with contextlib.redirect_stdout(io.StringIO()) as printed, pytest.raises(SystemExit):
@@ -97,7 +132,8 @@ def test_every_command_is_one_that_there_is(command):
     elif program == "ros2":
         check_ros2(arguments)
     elif program == "make" and arguments[0] == "bench":
-        check_benchmark(*arguments[1:])
+        module, options = f"benchmarks.{arguments[1].removeprefix('NAME=')}", " ".join(arguments[2:])
+        check_module(module, options.removeprefix("ARGS="))
     elif program == "make":
         assert arguments[0] in TARGETS or arguments[0] == "-C", command
         for text in arguments[1:]:
@@ -108,11 +144,10 @@ def test_every_command_is_one_that_there_is(command):
         assert program in SHELL or command.line.startswith(INSTALLING), command
 
 
-def test_what_up_takes_is_what_bringup_takes():
-    (chosen,) = (action for action in PARSER._actions if isinstance(action, argparse._SubParsersAction))
-    # The namespace is an argument of ROS's own.
-    taken = {action.dest for action in chosen.choices["up"]._actions} - {"help", "namespace"}
-    assert taken == {entry.name for entry in BringupOptions.declared()}
+def test_what_bringup_takes_up_takes():
+    words = "up --scene ball --robot fr3 --state-rate 500 --adapter lbr --parameters FILE --discovery subnet --bag DIR"
+    options = PARSER.parse_args([*words.split(), "--lockstep", "--no-driver", "--view", "--set", "driver:seed=1"])
+    assert set(vars(options)) - {"run"} == {entry.name for entry in BringupOptions.declared()}
 
 
 @pytest.mark.parametrize("page", TEXTS, ids=lambda page: str(page.relative_to(ROOT)))

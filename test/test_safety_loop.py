@@ -81,26 +81,22 @@ class SafetyLoop(RuleBasedStateMachine):
         self.now_ns = self.clock_ns
 
     @rule(joint=joints, number=odd_numbers, field=st.sampled_from(["q", "v", "torque"]), count=counts)
-    def state_with_an_odd_number(self, joint: int, number: float, field: str, count: int) -> None:
+    def states_with_an_odd_number(self, joint: int, number: float, field: str, count: int) -> None:
         for _ in range(count):
-            self.pass_time(1)
-            state = self.state()
-            value = getattr(state, field).copy()
+            value = getattr(self.state(), field).copy()
             value[joint] = number
-            with np.errstate(all="ignore"):
-                self.show(state._replace(**{field: value}))
+            self.odd_state(**{field: value})
 
     @rule(torque=st.sampled_from([None, UNKNOWN]), count=counts)
     def states_without_torque(self, torque: np.ndarray | None, count: int) -> None:
         for _ in range(count):
-            self.pass_time(1)
-            self.show(self.state()._replace(torque=torque))
+            self.odd_state(torque=torque)
 
     @rule(q=vectors, v=vectors)
-    def any_state(self, q: np.ndarray, v: np.ndarray) -> None:
+    def odd_state(self, **changes: np.ndarray | None) -> None:
         self.pass_time(1)
         with np.errstate(all="ignore"):
-            self.show(self.state()._replace(q=q, v=v))
+            self.show(self.state()._replace(**changes))
 
     @rule(joint=joints, angle=st.floats(-3.0, 3.0))
     def jump(self, joint: int, angle: float) -> None:

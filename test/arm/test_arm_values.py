@@ -9,27 +9,20 @@ import pytest
 from arm_simulation import ARM
 from six_axis import SIX_AXIS
 
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.capsules import pair_distances, self_pairs
 from contact_reach_ros.arm.inverse_kinematics import unreachable
 from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.arm.table import table_text
-from contact_reach_ros.arms import ARMS, DEFAULT_ARM, is_shipped, load_arm
+from contact_reach_ros.arms import ARMS, is_shipped, load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.control.stability import check_gains
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.timing import PERIOD
 
 
-def pickled(arm: Arm) -> Arm:
-    return pickle.loads(pickle.dumps(arm))
-
-
-@pytest.mark.parametrize("make", [copy.copy, copy.deepcopy, dataclasses.replace, pickled])
-def test_copies_are_equal_and_the_same_key(make):
-    copied = make(ARM)
-    assert copied == ARM and hash(copied) == hash(ARM) and copied.digest == ARM.digest
-    assert {ARM: "known"}[copied] == "known"
+def test_copies_are_equal_and_the_same_key():
+    for copied in (copy.deepcopy(ARM), dataclasses.replace(ARM), pickle.loads(pickle.dumps(ARM))):
+        assert copied == ARM and hash(copied) == hash(ARM) and copied.digest == ARM.digest
 
 
 @pytest.mark.parametrize(
@@ -49,30 +42,17 @@ def test_copies_are_equal_and_the_same_key(make):
 def test_whatever_models_are_built_from_makes_another_arm(changes):
     other = dataclasses.replace(ARM, **changes)
     assert other != ARM and other.digest != ARM.digest
-    assert len({ARM: 1, other: 2}) == 2
 
 
 def test_the_digest_of_the_iiwa_is_that_in_bags():
     assert ARM.digest == "fb09104480dee5b5"
 
 
-def test_arrays_cannot_be_changed():
-    for values in (ARM.lower, ARM.upper, ARM.velocity_limits, ARM.torque_limits):
-        with pytest.raises(ValueError, match="read-only"):
-            values[0] = 0.0
-
-
 class TestLoadArm:
-    def test_it_gives_the_same_object_each_time(self):
-        assert load_arm() is load_arm(DEFAULT_ARM)
-        assert load_arm(ARM.name) is ARM
-
     @pytest.mark.parametrize("name", ["iiwa15", "", "../arms/iiwa14"])
     def test_an_unknown_name_is_refused_and_the_known_ones_are_listed(self, name):
-        with pytest.raises(SettingsError) as raised:
+        with pytest.raises(SettingsError, match=f"arm '{name}' is unknown; expected one of .*{', '.join(ARMS)}"):
             load_arm(name)
-        assert str(raised.value).startswith(f"arm '{name}' is unknown; expected one of ")
-        assert ", ".join(ARMS) in str(raised.value)
 
     @pytest.mark.parametrize("name", ARMS)
     def test_shipped_arms_are_named_as_their_files_and_have_a_posture_to_start_from(self, name):

@@ -5,7 +5,7 @@ import pytest
 from arm_simulation import ARM, HOME, WITH_TOOL
 
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
-from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many
+from contact_reach_ros.arm.kinematics import link_frames
 
 LIMITS = np.array(ARM.upper)
 ROTATIONS, ORIGINS = link_frames(ARM, HOME)
@@ -14,16 +14,6 @@ POSITION = ORIGINS[-1] + np.array([0.05, 0.2, -0.1])
 
 def seeds(count: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(-LIMITS, LIMITS, (count, 7))
-
-
-@pytest.mark.parametrize("arm", [ARM, WITH_TOOL])
-def test_frames_of_many_postures_are_those_of_each(arm):
-    q = seeds(5)
-    axes, origins = link_frames_of_many(arm, q)
-    for index, posture in enumerate(q):
-        rotations, expected = link_frames(arm, posture)
-        np.testing.assert_allclose(origins[:, :, index], expected, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(axes[..., index].transpose(0, 2, 1), rotations, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -42,19 +42,6 @@ def test_drift_is_the_derivative_of_the_twist_at_constant_joint_velocity(model):
         np.testing.assert_allclose(model.drift, (ahead - behind) / (2 * STEP), rtol=0, atol=1e-7)
 
 
-def test_smallest_mobility_is_the_least_acceleration_along_a_unit_wrench(model):
-    random = np.random.default_rng(0)
-    for q, v in zip(*random_states(10), strict=True):
-        model.update(q, v)
-        wrenches = random.standard_normal((6, 1000))
-        wrenches /= np.linalg.norm(wrenches, axis=0)
-        accelerations = model.jacobian @ np.linalg.solve(model.mass_matrix, model.jacobian.T @ wrenches)
-        shares = (wrenches * accelerations).sum(axis=0)
-        assert 0.0 < model.smallest_mobility() <= shares.min()
-    model.update(np.zeros(ARM.n), REST)
-    assert model.smallest_mobility() == pytest.approx(0.0, abs=1e-9)
-
-
 def test_coriolis_matrix_gives_bias_and_derivative_of_the_mass_matrix(model):
     for q, v in zip(*random_states(20), strict=True):
         model.update(q + STEP * v, v)

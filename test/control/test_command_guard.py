@@ -2,22 +2,13 @@
 
 import numpy as np
 import pytest
-from arm_simulation import (
-    ARM,
-    HOME,
-    REST,
-    TICK_NS,
-    TORQUE_LIMITS,
-    UNWATCHED,
-    ideal_plant,
-    offer_plan,
-    patient_controller,
-)
+from arm_simulation import ARM, HOME, REST, TICK_NS, TORQUE_LIMITS, UNWATCHED, ideal_plant, references_of
 
 from contact_reach_ros.arm.joint_state import REST_SPEED, JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.adapter_settings import AdapterSettings
 from contact_reach_ros.control.command_guard import CommandGuard, Phase
+from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.errors import InputError, StopCode
 from contact_reach_ros.simulation.drive import Drive
@@ -155,7 +146,7 @@ def displacement_after_silence(is_guarded):
     """How far the joints move, rad, in half a second after a moving controller ended; their speed then, rad/s."""
     plant = ideal_plant()
     drive = Drive(plant, WatchdogSettings(enabled=False, speed_share=0.0), open_after=0.0)
-    controller, guard = patient_controller(UNWATCHED), CommandGuard(ARM, AdapterSettings())
+    controller, guard = Controller(ARM, UNWATCHED), CommandGuard(ARM, AdapterSettings())
     ended = None
     for tick in range(1, 900):
         now_ns, reading = tick * TICK_NS, plant.read()
@@ -167,7 +158,7 @@ def displacement_after_silence(is_guarded):
             if tick == 1:
                 position, rotation = controller.model.tip_pose(HOME)
                 there = Reference(position + np.array([0.0, 0.2, 0.0]), rotation, HOME)
-                offer_plan(controller, [there], 2 * TICK_NS, (10_000 * TICK_NS,), now_ns)
+                controller.follow(references_of([there], 2 * TICK_NS, (1000 * TICK_NS,)))
         elif is_guarded:
             sent = guard.watch(now_ns)
         if tick == 400:

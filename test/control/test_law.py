@@ -1,10 +1,10 @@
-"""The laws (1)-(3) and (6): what the torques do to the arm."""
+"""The laws (1)-(3) and (6): what the torques do to the arm, also near singularities."""
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_simulation import ARM, HOME, REST, mobility, null_space_projection, random_states
+from arm_simulation import ARM, HOME, REST, mobility, random_states
 from hypothesis import given
 from hypothesis import strategies as st
 from six_axis import SIX_AXIS
@@ -12,6 +12,7 @@ from six_axis import SIX_AXIS
 from benchmarks.law import ImpedanceLaw, pose_error
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.control.kernels import solve_bounded
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import SINGULARITY_FLOOR, ImpedanceSettings
 
@@ -28,90 +29,53 @@ def law_torque(law: ImpedanceLaw, model: RobotModel, q: np.ndarray, v: np.ndarra
     return law.torque(model, v, q - reference.posture, pose_error(model.position, model.rotation, reference))
 
 
-def regular_states(model: RobotModel, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Random states where Λ is the true inverse."""
-    found = []
-    for q, v in zip(*random_states(20 * count), strict=True):
-        model.update(q, v)
-        if np.linalg.eigvalsh(mobility(model))[0] > SINGULARITY_FLOOR:
-            found.append((q, v))
-    assert len(found) >= count
-    return found[:count]
-
-
-def test_task_acceleration_is_what_law_one_asks_for():
-    model, law = RobotModel(ARM), ImpedanceLaw(ARM, SETTINGS)
-    reference = reference_at(model, HOME)
-    for q, v in regular_states(model, 100):
-        torque = law_torque(law, model, q, v, reference)
-        error = pose_error(model.position, model.rotation, reference)
-        joint_acceleration = pin.aba(model.pinocchio, model.pinocchio.createData(), q, v, torque + model.bias)
-        acceleration = model.jacobian @ joint_acceleration + model.drift
-        wanted = -SETTINGS.task_stiffness * error - SETTINGS.task_damping * model.twist
-        np.testing.assert_allclose(acceleration, wanted, rtol=0, atol=1e-8)
-
-
 @pytest.mark.parametrize("arm", [ARM, SIX_AXIS], ids=lambda arm: arm.name)
-def test_task_of_positions_controls_three_rows_and_leaves_the_rest_to_law_two(arm):
-    model, random = RobotModel(arm), np.random.default_rng(3)
-    settings = ImpedanceSettings(task="position")
-    law = ImpedanceLaw(arm, settings)
-    for _ in range(50):
-        q, v = random.uniform(arm.lower, arm.upper), random.normal(0.0, 0.5, arm.n)
-        model.update(q, v)
-        rows = model.jacobian[:3]
-        if np.linalg.eigvalsh(rows @ np.linalg.solve(model.mass_matrix, rows.T))[0] < SINGULARITY_FLOOR:
-            continue
-        error, postures = random.uniform(-0.1, 0.1, 6), random.uniform(-1.0, 1.0, (2, arm.n))
-        torques = [law.torque(model, v, posture, error) for posture in postures]
-        accelerations = [np.linalg.solve(model.mass_matrix, torque) for torque in torques]
-        wanted = -settings.task_stiffness * error[:3] - settings.task_damping * model.twist[:3]
-        for acceleration in accelerations:
-            np.testing.assert_allclose(rows @ acceleration + model.drift[:3], wanted, rtol=0, atol=1e-8)
-        # Law (2) turns the tip.
-        assert np.linalg.norm(model.jacobian[3:] @ (accelerations[1] - accelerations[0])) > 0.1
-        np.testing.assert_array_equal(torques[0], law.torque(model, v, postures[0], error * [1, 1, 1, 9, 9, 9]))
-
-
-@pytest.mark.parametrize("arm", [ARM, SIX_AXIS], ids=lambda arm: arm.name)
-def test_task_of_position_and_axis_turns_the_axis_as_asked_and_leaves_the_rotation_about_it_to_law_two(arm):
+@pytest.mark.parametrize("task", ["position", "position_and_axis"])
+def test_a_task_of_fewer_rows_moves_the_tip_as_asked_and_leaves_the_other_turns_to_law_two(arm, task):
     model, random = RobotModel(arm), np.random.default_rng(4)
-    settings = ImpedanceSettings(task="position_and_axis")
+    settings = ImpedanceSettings(task=task)
     law = ImpedanceLaw(arm, settings)
     for _ in range(50):
         q, v = random.uniform(arm.lower, arm.upper), random.normal(0.0, 0.5, arm.n)
         model.update(q, v)
-        x, y, z = model.rotation.T
-        rows = np.concatenate([model.jacobian[:3], [x, y] @ model.jacobian[3:]])
+        z = model.rotation[:, 2]
+        has_axis = task == "position_and_axis"
+        rows = np.concatenate([model.jacobian[:3], model.rotation.T[: 2 * has_axis] @ model.jacobian[3:]])
         if np.linalg.eigvalsh(rows @ np.linalg.solve(model.mass_matrix, rows.T))[0] < SINGULARITY_FLOOR:
             continue
         # However the reference is turned about its axis.
         about, tilt = pin.exp3(random.uniform(-3.0, 3.0) * z), pin.exp3(random.uniform(-0.5, 0.5, 3))
         reference = Reference(model.position - 0.1, tilt @ about @ model.rotation, q)
-        error = pose_error(model.position, model.rotation, reference, settings.task)
-        np.testing.assert_allclose(pin.exp3(error[3:]) @ reference.rotation[:, 2], z, rtol=0, atol=1e-9)
-        assert abs(error[3:] @ z) < 1e-9
+        error = pose_error(model.position, model.rotation, reference, task)
         torques = [law.torque(model, v, posture, error) for posture in random.uniform(-1.0, 1.0, (2, arm.n))]
         accelerations = [np.linalg.solve(model.mass_matrix, torque) for torque in torques]
         wanted = -settings.task_stiffness * error - settings.task_damping * model.twist
         for acceleration in accelerations:
-            # ω × ż is what turns the axis although nothing accelerates.
             twist = model.jacobian @ acceleration + model.drift
             np.testing.assert_allclose(twist[:3], wanted[:3], rtol=0, atol=1e-8)
-            np.testing.assert_allclose(np.cross(twist[3:], z), np.cross(wanted[3:], z), rtol=0, atol=1e-8)
+            if has_axis:
+                # ω × ż is what turns the axis although nothing accelerates.
+                np.testing.assert_allclose(np.cross(twist[3:], z), np.cross(wanted[3:], z), rtol=0, atol=1e-8)
+        if has_axis:
+            np.testing.assert_allclose(pin.exp3(error[3:]) @ reference.rotation[:, 2], z, rtol=0, atol=1e-9)
+            assert abs(error[3:] @ z) < 1e-9
         assert abs(z @ model.jacobian[3:] @ (accelerations[1] - accelerations[0])) > 0.01
 
 
 def test_law_is_the_sum_of_the_papers_terms():
     model, law = RobotModel(ARM), ImpedanceLaw(ARM, SETTINGS)
     reference = reference_at(model, HOME)
-    for q, v in regular_states(model, 20):
+    for q, v in zip(*random_states(100), strict=True):
         torque = law_torque(law, model, q, v, reference)
+        if np.linalg.eigvalsh(mobility(model))[0] < SINGULARITY_FLOOR:
+            continue
         error = pose_error(model.position, model.rotation, reference)
         command = -SETTINGS.task_stiffness * error - SETTINGS.task_damping * model.twist - model.drift
         posture = -SETTINGS.null_stiffness * (q - reference.posture) - SETTINGS.null_damping * v
         expected = model.jacobian.T @ np.linalg.inv(mobility(model)) @ command
-        expected += null_space_projection(model).T @ posture
+        # What the posture does to the tip is taken out again.
+        moved = mobility(model), model.jacobian @ np.linalg.solve(model.mass_matrix, posture)
+        expected += posture - model.jacobian.T @ np.linalg.solve(*moved)
         np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
@@ -160,28 +124,60 @@ def test_task_error_follows_the_second_order_law(moving):
     assert np.abs(expected).max() > 0.05
 
 
-@pytest.mark.parametrize("short_of_half_a_turn", [0.0, 1e-12, 1e-8, 1e-4, 0.1, 1.0])
-def test_pose_error_is_right_up_to_half_a_turn(short_of_half_a_turn):
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1.0, np.pi - 0.1, np.pi - 1e-4, np.pi - 1e-8, np.pi - 1e-12, np.pi])
+def test_pose_error_leads_back_to_the_pose_up_to_half_a_turn(angle):
     random = np.random.default_rng(0)
-    angle = np.pi - short_of_half_a_turn
-    axes = [*np.eye(3), *-np.eye(3), *random.standard_normal((50, 3))]
-    for axis in axes:
+    for axis in (*np.eye(3), *-np.eye(3), *random.standard_normal((50, 3))):
         turn = angle * axis / np.linalg.norm(axis)
-        reference = Reference(np.zeros(3), pin.exp3(random.standard_normal(3)), np.zeros(ARM.n))
-        error = pose_error(np.zeros(3), pin.exp3(turn) @ reference.rotation, reference)[3:]
+        reference = Reference(random.standard_normal(3), pin.exp3(random.standard_normal(3)), np.zeros(ARM.n))
+        shift = random.standard_normal(3)
+        error = pose_error(reference.position + shift, pin.exp3(turn) @ reference.rotation, reference)
+        np.testing.assert_allclose(error[:3], shift, rtol=0, atol=1e-12)
         # Half a turn to the one side and to the other are the same.
-        miss = min(np.abs(error - turn).max(), np.abs(error + turn).max() if short_of_half_a_turn < 1e-7 else np.inf)
+        miss = min(np.abs(error[3:] - turn).max(), np.abs(error[3:] + turn).max() if np.pi - angle < 1e-7 else np.inf)
         assert miss < 1e-7
 
 
-small = st.floats(-1.5, 1.5)
-vectors = st.tuples(small, small, small).map(np.array)
+SINGULAR = {
+    "stretched upwards": np.zeros(ARM.n),
+    "stretched forwards": np.array([0.0, np.pi / 4, 0.0, 0.0, 0.0, np.pi / 4, 0.0]),
+    "shoulder": np.array([0.3, 0.0, np.pi / 2, -1.2, 0.4, 0.8, 0.1]),
+    "wrist": np.array([0.3, 0.6, 0.2, -1.2, np.pi / 2, 0.0, 0.1]),
+    "shoulder and wrist": np.array([0.3, 0.0, 0.2, -1.2, 0.4, 0.0, 0.1]),
+}
 
 
-@given(vectors, vectors, vectors)
-def test_pose_error_leads_back_to_the_pose(translation, turn, base_turn):
-    reference = Reference(np.array([0.4, 0.1, 0.3]), pin.exp3(base_turn), np.zeros(ARM.n))
-    rotation = pin.exp3(turn) @ reference.rotation
-    error = pose_error(reference.position + translation, rotation, reference)
-    np.testing.assert_allclose(error[:3], translation, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(pin.exp3(error[3:]) @ reference.rotation, rotation, rtol=0, atol=1e-9)
+@pytest.mark.parametrize("singular", SINGULAR.values(), ids=SINGULAR)
+def test_torques_change_smoothly_along_a_path_through_a_singularity(singular):
+    model, law, random = RobotModel(ARM), ImpedanceLaw(ARM, SETTINGS), np.random.default_rng(1)
+    direction, v = random.standard_normal(ARM.n), 0.1 * random.standard_normal(ARM.n)
+    direction /= np.linalg.norm(direction)
+    position, rotation = model.tip_pose(singular)
+    pulled = Reference(position + np.array([0.006, 0.005, -0.006]), rotation, singular + 0.2)
+
+    def largest_change(count: int) -> float:
+        path = [singular + share * direction for share in np.linspace(-0.05, 0.05, count + 1)]
+        torques = np.array([law_torque(law, model, q, v, pulled) for q in path])
+        return float(np.abs(np.diff(torques, axis=0)).max())
+
+    # A jump would stay as large; what is continuous changes half as much over half the distance.
+    coarse, fine = largest_change(200), largest_change(400)
+    assert fine == pytest.approx(0.5 * coarse, rel=0.1)
+
+
+@given(st.lists(st.floats(0.0, 5.0), min_size=6, max_size=6).map(np.array), st.integers(0, 1000))
+def test_the_inverse_is_bounded_and_never_asks_for_more_than_the_true_one(eigenvalues, seed):
+    def bounded_inverse(matrix: np.ndarray) -> np.ndarray:
+        return np.array([solve_bounded(matrix, unit, SINGULARITY_FLOOR) for unit in np.eye(6)]).T
+
+    vectors = np.linalg.qr(np.random.default_rng(seed).standard_normal((6, 6)))[0]
+    matrix = (vectors * eigenvalues) @ vectors.T
+    inverse = bounded_inverse(matrix)
+    np.testing.assert_allclose(inverse, inverse.T, rtol=0, atol=1e-9)
+    assert np.linalg.norm(inverse, 2) <= 2.0 / SINGULARITY_FLOOR * (1 + 1e-9)
+    # Λ_bounded (J M⁻¹ Jᵀ) has eigenvalues in [0, 1]: an acceleration may fall short, never overshoot.
+    share = np.linalg.eigvals(inverse @ matrix)
+    np.testing.assert_allclose(share.imag, 0, atol=1e-9)
+    assert share.real.min() >= -1e-9 and share.real.max() <= 1 + 1e-9
+    above = (vectors * (eigenvalues + SINGULARITY_FLOOR)) @ vectors.T
+    np.testing.assert_allclose(bounded_inverse(above) @ above, np.eye(6), rtol=0, atol=1e-10)

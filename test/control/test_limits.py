@@ -1,83 +1,21 @@
-"""Joint-limit repulsion, and the cap on torques and on their rates."""
+"""Joints stay within their limits of position and speed, torques and their rates within the caps."""
 
 import numpy as np
 import pytest
-from arm_simulation import (
-    ARM,
-    HOME,
-    POSITION_LIMITS,
-    REST,
-    TICK_NS,
-    TORQUE_LIMITS,
-    ClosedLoop,
-    ideal_plant,
-    offer_plan,
-)
+from arm_simulation import ARM, HOME, POSITION_LIMITS, TICK_NS, TORQUE_LIMITS, VELOCITY_LIMITS, ClosedLoop, ideal_plant
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.control.constants import REPULSION_MARGIN, REPULSION_SHARE, make_constants, torque_rates
-from contact_reach_ros.control.kernels import (
-    limit_torque,
-    repulsion_torque,
-)
+from contact_reach_ros.control.constants import REPULSION_MARGIN, make_constants, torque_rates
+from contact_reach_ros.control.kernels import limit_torque
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import LimitSettings
 
 SETTINGS = LimitSettings()
 CONSTANTS = make_constants(ARM, limits=SETTINGS)
 
-joints = st.integers(0, ARM.n - 1)
-sides = st.sampled_from([-1.0, 1.0])
-speeds = st.floats(-3.0, 3.0)
 torques = st.lists(st.floats(-1e4, 1e4), min_size=ARM.n, max_size=ARM.n).map(np.array)
-
-
-def repulsion_at(joint: int, side: float, depth: float, v: np.ndarray = REST) -> np.ndarray:
-    """Torque with one joint `depth` rad inside the margin before its limit."""
-    q = HOME.copy()
-    q[joint] = side * (POSITION_LIMITS[joint] - REPULSION_MARGIN + depth)
-    return repulsion_torque(CONSTANTS, q, v)
-
-
-@given(st.lists(st.floats(-1, 1), min_size=ARM.n, max_size=ARM.n), st.lists(speeds, min_size=ARM.n, max_size=ARM.n))
-def test_no_repulsion_outside_of_the_margin(shares, v):
-    q = np.array(shares) * (POSITION_LIMITS - REPULSION_MARGIN)
-    assert not repulsion_torque(CONSTANTS, q, np.array(v)).any()
-
-
-@given(joints, sides, st.floats(1e-3, 0.5), speeds)
-def test_repulsion_pushes_inwards_and_only_the_joint_concerned(joint, side, depth, speed):
-    torque = repulsion_at(joint, side, depth, speed * np.eye(ARM.n)[joint])
-    assert side * torque[joint] < 0
-    assert not np.delete(torque, joint).any()
-
-
-@given(joints, sides, st.floats(-0.01, 0.3), speeds)
-def test_repulsion_is_continuous(joint, side, depth, speed):
-    v = speed * np.eye(ARM.n)[joint]
-    step = 1e-7
-    change = repulsion_at(joint, side, depth + step, v) - repulsion_at(joint, side, depth, v)
-    steepest = 1e4  # Nm/rad, more than the stiffest joint has
-    assert np.abs(change).max() <= steepest * step
-
-
-@given(joints, sides)
-def test_repulsion_at_the_limit_is_the_declared_share(joint, side):
-    torque = repulsion_at(joint, side, REPULSION_MARGIN)
-    assert -side * torque[joint] == pytest.approx(REPULSION_SHARE * TORQUE_LIMITS[joint])
-    # It grows with the square, so that it begins without a kink.
-    halfway = repulsion_at(joint, side, 0.5 * REPULSION_MARGIN)
-    assert halfway[joint] == pytest.approx(0.25 * torque[joint])
-
-
-@given(joints, sides, st.floats(0.01, 0.3), st.floats(0.01, 3.0))
-def test_only_motion_towards_the_limit_is_damped(joint, side, depth, speed):
-    at_rest = repulsion_at(joint, side, depth)
-    away = repulsion_at(joint, side, depth, -side * speed * np.eye(ARM.n)[joint])
-    towards = repulsion_at(joint, side, depth, side * speed * np.eye(ARM.n)[joint])
-    np.testing.assert_array_equal(away, at_rest)
-    assert side * towards[joint] < side * at_rest[joint]
 
 
 @given(torques, st.lists(st.tuples(torques, st.floats(0.0, 0.01)), min_size=1, max_size=20))
@@ -122,10 +60,66 @@ def test_plans_that_drive_a_joint_into_its_limit_do_not_get_there(joint, side):
 
     def replan() -> None:
         if loop.now_ns % period_ns == 0:
-            plan = greedy_reference(loop, joint, side)
-            offer_plan(loop.controller, [plan], loop.now_ns, (3 * period_ns,), loop.now_ns)
+            loop.plan([greedy_reference(loop, joint, side)], 3 * period_ns)
 
     for _ in loop.run(1.5, replan):
         near = near or side * loop.q[joint] > POSITION_LIMITS[joint] - REPULSION_MARGIN
         assert side * loop.q[joint] < POSITION_LIMITS[joint]
     assert near
+
+
+def null_direction(loop: ClosedLoop) -> np.ndarray:
+    """How the joints move, (7,) of length 1, while the flange rests: A1 outwards."""
+    model = loop.controller.model
+    model.update(loop.q, loop.v)
+    direction = np.linalg.svd(model.jacobian)[2][-1]
+    return direction * np.sign(direction[0])
+
+
+@pytest.mark.parametrize(("pulled", "least", "most"), [("posture", 0.3, 0.6), ("flange", 0.8, 0.95)])
+def test_a_joint_that_a_plan_pulls_too_fast_is_braked_and_no_stop_is_needed(pulled, least, most):
+    """References stay far ahead of the posture, which the flange must not feel, or far ahead of the flange."""
+    loop = ClosedLoop(ideal_plant())
+    start = loop.reference()
+    fastest = farthest = 0.0
+
+    def replan() -> None:
+        if loop.now_ns % (40 * TICK_NS) == 0:
+            if pulled == "posture":
+                ahead = Reference(start.position, start.rotation, loop.q + 0.2 * null_direction(loop))
+            else:
+                ahead = Reference(loop.reference().position + np.array([0.0, 0.12, 0.0]), start.rotation, loop.q)
+            loop.plan([ahead], 100 * TICK_NS)
+
+    for _ in loop.run(0.5, replan):
+        fastest = max(fastest, float((np.abs(loop.v) / VELOCITY_LIMITS).max()))
+        farthest = max(farthest, float(np.linalg.norm(loop.reference().position - start.position)))
+    assert not loop.controller.stop_reason
+    assert least < fastest < most
+    assert pulled == "flange" or farthest < 2e-3
+
+
+@pytest.mark.parametrize("seed", [2, 9, 12])
+def test_references_that_jump_about_near_a_singularity_do_not_make_a_joint_too_fast(seed):
+    """Every 40 ms the farthest that a plan may ask for, elsewhere six times a second."""
+    random = np.random.default_rng(seed)
+    loop = ClosedLoop(ideal_plant(random.uniform(-0.7, 0.7, 7) * POSITION_LIMITS))
+    loop.controller.model.update(loop.q, loop.v)
+    assert np.linalg.svd(loop.controller.model.jacobian)[1][-1] < 0.2
+    wish = np.sign(random.normal(size=6))
+
+    def replan() -> None:
+        nonlocal wish
+        if loop.now_ns % (160 * TICK_NS) == 0:
+            wish = np.sign(random.normal(size=6))
+        if loop.now_ns % (40 * TICK_NS) == 0:
+            here = loop.reference()
+            turned = Rotation.from_rotvec(0.2 * wish[3:]).as_matrix() @ here.rotation
+            wanted = Reference(here.position + 0.01 * wish[:3], turned, here.posture)
+            loop.plan([wanted], 60 * TICK_NS)
+
+    for _ in loop.run(1.0, replan):
+        if loop.controller.stop_reason:
+            break
+        assert (np.abs(loop.v) < VELOCITY_LIMITS).all()
+    assert "rad/s" not in loop.controller.stop_reason

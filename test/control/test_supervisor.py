@@ -1,6 +1,5 @@
 """The state machine: what its table allows, and what stops the arm."""
 
-import math
 import re
 from pathlib import Path
 
@@ -14,13 +13,12 @@ from contact_reach_ros.control.stop_watch import CREEP, REST_WITHIN, SPEED_DEBOU
 from contact_reach_ros.control.supervisor import TRANSITIONS, Event, Mode, Supervisor
 from contact_reach_ros.errors import InputError, Verdict
 
-SETTINGS = SupervisionSettings()
 LIMITS = np.array(ARM.velocity_limits)
 
 
 @pytest.fixture
 def supervisor() -> Supervisor:
-    made = Supervisor(ARM, SETTINGS)
+    made = Supervisor(ARM, SupervisionSettings())
     made.happens(Event.START)
     return made
 
@@ -33,16 +31,8 @@ def test_the_picture_in_the_docs_is_the_table():
     assert drawn == table
 
 
-def test_every_state_can_be_stopped_and_only_reset_leads_out():
-    stops = {Mode.STOPPED, Mode.SILENT}
-    assert all(TRANSITIONS[mode, Event.STOP] is Mode.STOPPED for mode in set(Mode) - stops)
-    outs = {(start, event) for (start, event), end in TRANSITIONS.items() if start in stops and end not in stops}
-    assert outs == {(Mode.STOPPED, Event.RESET), (Mode.SILENT, Event.RESET)}
-    assert TRANSITIONS[Mode.STOPPED, Event.NO_REST] is Mode.SILENT
-
-
 def test_events_that_do_not_belong_to_a_state_change_nothing():
-    supervisor = Supervisor(ARM, SETTINGS)
+    supervisor = Supervisor(ARM, SupervisionSettings())
     for event in (Event.PLAN, Event.PLAN_ENDED, Event.RESET):
         assert not supervisor.happens(event)
         assert supervisor.mode is Mode.WAITING
@@ -55,56 +45,14 @@ def test_events_that_do_not_belong_to_a_state_change_nothing():
     assert (supervisor.mode, supervisor.stop_reason) == (Mode.HOLDING, "")
 
 
-class TestStopThatBringsNoRest:
-    """Nothing is commanded any more, and the reason tells both stories."""
-
-    MS = 1_000_000
-    SLOW = np.eye(ARM.n)[4] * 2.0 * REST_SPEED
-
-    @pytest.fixture
-    def stopped(self, supervisor) -> Supervisor:
-        supervisor.stop("pushed")
-        return supervisor
-
-    def watch(self, supervisor, v, first_ms, last_ms, q=HOME):
-        for ms in range(first_ms, last_ms + 1):
-            supervisor.watch_stop(q, v, ms * self.MS)
-
-    def test_an_arm_that_is_not_at_rest_in_time(self, stopped):
-        due = round(1000 * REST_WITHIN)
-        self.watch(stopped, self.SLOW, 0, due - 1)
-        assert (stopped.mode, stopped.stop_reason) == (Mode.STOPPED, "pushed")
-        self.watch(stopped, self.SLOW, due, due)
-        assert stopped.mode is Mode.SILENT
-        expected = "pushed; lbr_A5 still moves with 0.10 rad/s 500 ms after the stop; nothing is commanded any more"
-        assert stopped.stop_reason.startswith(expected)
-        self.watch(stopped, REST, due + 1, due + 100)
-        stopped.stop("again")
-        assert stopped.stop_reason.startswith("pushed; ") and stopped.mode is Mode.SILENT
-        assert stopped.happens(Event.RESET)
-        assert (stopped.mode, stopped.stop_reason) == (Mode.HOLDING, "")
-
-    def test_an_arm_that_rested_may_be_moved_by_hand_but_not_fast(self, stopped):
-        self.watch(stopped, REST, 0, 600)
-        self.watch(stopped, SPEED_GAIN * np.eye(ARM.n)[1], 601, 1800)
-        assert stopped.mode is Mode.STOPPED
-        self.watch(stopped, -1.01 * SPEED_GAIN * np.eye(ARM.n)[1], 1801, 1800 + SPEED_DEBOUNCE)
-        assert stopped.mode is Mode.SILENT
-        assert "in the stop lbr_A2 got faster" in stopped.stop_reason
-
-    def test_joint_states_that_the_observer_distrusts(self, supervisor):
-        supervisor.hear_observer(Verdict("too much torque"), 0)
-        assert supervisor.mode is Mode.STOPPED
-        supervisor.hear_observer(Verdict("too much torque", "encoder stuck"), 1)
-        assert supervisor.mode is Mode.SILENT
-        assert supervisor.stop_reason.startswith("too much torque; encoder stuck; nothing is commanded")
-
-
 class TestRest:
-    """A stop ends in the drive's brakes: soon after the arm has come to rest, at once when it creeps."""
+    """A stop ends in the drive's brakes: soon after the arm has come to rest, at once when it creeps or does not rest.
 
-    MS = 1_000_000
-    RATE = 0.8 * REST_SPEED
+    Nothing is commanded any more then, and the reason tells both stories.
+    """
+
+    SLOW = 2.0 * REST_SPEED
+    CREEPS = 0.8 * REST_SPEED
 
     def stopped(self, **settings) -> Supervisor:
         made = Supervisor(ARM, SupervisionSettings(**settings))
@@ -112,41 +60,66 @@ class TestRest:
         made.stop("pushed")
         return made
 
-    def creep(self, supervisor, joint, last_ms):
-        """Let a joint move by less than the speed of rest; returns how far it is when the stop is given up, rad."""
+    def watch(self, supervisor, speed, first_ms, last_ms, joint=4, moved=0.0):
+        """Let a joint move at this speed from an angle beside home; returns how far it gets until something is said."""
         direction = np.eye(ARM.n)[joint]
-        for ms in range(last_ms):
-            moved = self.RATE * ms / 1000
-            supervisor.watch_stop(HOME + moved * direction, self.RATE * direction, ms * self.MS)
-            if supervisor.mode is Mode.SILENT or "crept" in supervisor.stop_reason:
-                return moved
-        return math.inf
+        for ms in range(first_ms, last_ms + 1):
+            supervisor.watch_stop(HOME + moved * direction, speed * direction, ms * 1_000_000)
+            if supervisor.stop_reason != "pushed":
+                break
+            moved += speed / 1000
+        return moved
 
-    def test_a_joint_that_creeps_has_them_at_once(self):
-        supervisor = self.stopped()
-        assert CREEP < self.creep(supervisor, 5, 2000) <= CREEP + 1e-4
-        assert supervisor.mode is Mode.SILENT
-        expected = f"pushed; {ARM.joint_names[5]} has crept by 0.010 rad since it came to rest; nothing is commanded"
-        assert supervisor.stop_reason.startswith(expected)
+    def test_an_arm_that_is_not_at_rest_in_time(self):
+        stopped, due = self.stopped(), round(1000 * REST_WITHIN)
+        self.watch(stopped, self.SLOW, 0, due - 1)
+        assert (stopped.mode, stopped.stop_reason) == (Mode.STOPPED, "pushed")
+        self.watch(stopped, self.SLOW, due, due)
+        assert stopped.mode is Mode.SILENT
+        expected = "pushed; lbr_A5 still moves with 0.10 rad/s 500 ms after the stop; nothing is commanded any more"
+        assert stopped.stop_reason.startswith(expected)
+        stopped.stop("again")
+        assert stopped.stop_reason.startswith("pushed; ") and stopped.mode is Mode.SILENT
+
+    def test_an_arm_that_rested_may_be_moved_by_hand_but_not_fast(self):
+        stopped = self.stopped()
+        self.watch(stopped, 0.0, 0, 600)
+        moved = self.watch(stopped, SPEED_GAIN, 601, 1800)
+        assert stopped.mode is Mode.STOPPED
+        self.watch(stopped, -1.01 * SPEED_GAIN, 1801, 1800 + SPEED_DEBOUNCE, moved=moved)
+        assert stopped.mode is Mode.SILENT
+        assert "in the stop lbr_A5 got faster" in stopped.stop_reason
+
+    def test_a_joint_that_creeps(self):
+        stopped = self.stopped()
+        assert CREEP < self.watch(stopped, self.CREEPS, 0, 2000) <= CREEP + 1e-4
+        assert stopped.mode is Mode.SILENT
+        expected = f"pushed; {ARM.joint_names[4]} has crept by 0.010 rad since it came to rest; nothing is commanded"
+        assert stopped.stop_reason.startswith(expected)
 
     def test_an_arm_that_is_moved_by_hand_does_not_creep(self):
-        supervisor, by_hand = self.stopped(), 4 * REST_SPEED
-        for ms in range(1500):
-            moves = 600 <= ms < 1000
-            moved = by_hand * (min(max(ms, 600), 1000) - 600) / 1000
-            supervisor.watch_stop(HOME + moved, by_hand * moves * np.ones(ARM.n), ms * self.MS)
-        assert (supervisor.mode, supervisor.stop_reason) == (Mode.STOPPED, "pushed")
+        stopped = self.stopped()
+        self.watch(stopped, 0.0, 0, 599)
+        moved = self.watch(stopped, 4.0 * REST_SPEED, 600, 999)
+        self.watch(stopped, 0.0, 1000, 1500, moved=moved)
+        assert (stopped.mode, stopped.stop_reason) == (Mode.STOPPED, "pushed")
 
-    def test_a_drive_without_brakes_is_never_left_alone(self):
-        resting, creeping, moving = (self.stopped(drive_brakes=False) for _ in range(3))
-        for ms in range(5000):
-            resting.watch_stop(HOME, REST, ms * self.MS)
-            moving.watch_stop(HOME, np.full(ARM.n, 0.3), ms * self.MS)
-        self.creep(creeping, 2, 2000)
-        assert {one.mode for one in (resting, creeping, moving)} == {Mode.STOPPED}
-        assert resting.stop_reason == "pushed"
-        assert "lbr_A3 has crept by 0.010 rad" in creeping.stop_reason and "support the arm" in creeping.stop_reason
-        assert "still moves with 0.30 rad/s" in moving.stop_reason and "support the arm" in moving.stop_reason
+    @pytest.mark.parametrize(
+        ("speed", "reason"),
+        [(0.0, ""), (0.8 * REST_SPEED, "lbr_A5 has crept by 0.010 rad"), (0.3, "still moves with 0.30 rad/s")],
+    )
+    def test_a_drive_without_brakes_is_never_left_alone(self, speed, reason):
+        stopped = self.stopped(drive_brakes=False)
+        self.watch(stopped, speed, 0, 5000)
+        assert stopped.mode is Mode.STOPPED
+        assert reason in stopped.stop_reason and ("support the arm" in stopped.stop_reason) == bool(reason)
+
+    def test_joint_states_that_the_observer_distrusts(self, supervisor):
+        supervisor.hear_observer(Verdict("too much torque"), 0)
+        assert supervisor.mode is Mode.STOPPED
+        supervisor.hear_observer(Verdict("too much torque", "encoder stuck"), 1)
+        assert supervisor.mode is Mode.SILENT
+        assert supervisor.stop_reason.startswith("too much torque; encoder stuck; nothing is commanded")
 
 
 @pytest.mark.parametrize(("joint", "side"), [(0, -1.0), (6, 1.0)])

@@ -59,16 +59,6 @@ def test_link_of_most_pushes_at_mid_arm_is_right(locator):
     assert np.median(errors) < 0.2
 
 
-def test_no_link_before_the_last_joint_that_feels_it_is_named(locator):
-    pushes = Pushes(tuple(range(2, 8)))
-    for _ in range(300):
-        q, _, _, _, torque = pushes.draw()
-        felt = np.flatnonzero(np.abs(torque) > 3.0 * np.array(SCALES))
-        if felt.size:
-            named = ARM.link_names.index(locator.locate(q, torque).link)
-            assert named >= felt[-1]
-
-
 def test_estimate_is_finite_where_the_arm_is_singular(locator):
     contact = locator.locate(np.zeros(ARM.n), np.full(ARM.n, 5.0))
     assert np.isfinite([*contact.force, *contact.position, contact.misfit]).all()

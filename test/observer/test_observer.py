@@ -83,10 +83,6 @@ class TestDue:
         reports = watched.run(100, SOFT)
         contacts = {id(report.contact): report.contact for report in reports if report.contact is not None}
         assert 9 <= len(contacts) <= 10
-        for contact in contacts.values():
-            # As messages carry it.
-            np.testing.assert_array_equal(contact.force, np.round(contact.force, 1))
-            np.testing.assert_array_equal(contact.position, np.round(contact.position, 3))
         assert watched.run(300)[-1].contact is None
 
 

@@ -1,7 +1,6 @@
-"""Contact and the stop above the contact budget: debounced, latched, reset only by an arm that is free and at rest."""
+"""Contact, and the stop above the contact budget: debounced, latched, reset only by a free arm at rest."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -9,8 +8,8 @@ from arm_simulation import ARM, HOME, REST
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_reach_ros.errors import InputError
-from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.observer.safety import (
     HANDOVER_TIME,
     MEAN_TIME,
@@ -62,16 +61,13 @@ def test_short_peaks_are_ignored(monitor):
         push(monitor, residual(3, 5.0), SETTINGS.debounce - 1)
         push(monitor, residual(3, 0.9), 1)
     assert not monitor.stopped
-    push(monitor, residual(3, 5.0))
-    assert monitor.stopped
 
 
 def test_stop_is_latched_and_the_first_reason_kept(monitor):
     push(monitor, residual(2, 2.0))
-    reason = monitor.stop_reason
     push(monitor, residual(5, 9.0), 50)
     monitor.stop("another")
-    assert monitor.stop_reason == reason and monitor.stops == 1
+    assert "lbr_A3" in monitor.stop_reason and monitor.stops == 1
 
 
 @pytest.mark.parametrize(
@@ -129,15 +125,13 @@ class TestContact:
     def monitor(self) -> SafetyMonitor:
         return SafetyMonitor(ARM, SETTINGS, self.budget)
 
-    @pytest.mark.parametrize(("joint", "side"), [(joint, (-1.0) ** joint) for joint in range(ARM.n)])
-    def test_each_joint_has_its_threshold(self, monitor, joint, side):
-        push(monitor, 0.95 * side * self.thresholds * np.eye(ARM.n)[joint], 50)
-        assert monitor.level is SafetyLevel.FREE
-        monitor = SafetyMonitor(ARM, SETTINGS, self.budget)
-        push(monitor, 1.1 * side * self.thresholds * np.eye(ARM.n)[joint], SETTINGS.contact_debounce)
-        assert monitor.level is SafetyLevel.CONTACT
-        assert not monitor.stopped
-        assert monitor.contacts == 1
+    def test_each_joint_has_its_threshold(self):
+        for torque in np.diag((-1.0) ** np.arange(ARM.n) * self.thresholds):
+            below, above = (SafetyMonitor(ARM, SETTINGS, self.budget) for _ in range(2))
+            push(below, 0.95 * torque, 50)
+            assert below.level is SafetyLevel.FREE
+            push(above, 1.1 * torque, SETTINGS.contact_debounce)
+            assert above.level is SafetyLevel.CONTACT and not above.stopped
 
     def test_contact_ends_only_well_below_the_threshold_and_after_a_while(self, monitor):
         push(monitor, 1.5 * self.thresholds, 5)
@@ -156,6 +150,16 @@ class TestContact:
         assert monitor.contacts == 0
         push(monitor, weight + np.array([0.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 3)
         assert monitor.in_contact
+
+    @pytest.mark.parametrize(("torque", "moved"), [(5.0, 0.0), (5.0, 0.2), (15.0, 5.0)])
+    def test_a_torque_is_a_contact_however_slowly_it_grows_beyond_what_the_posture_explains(
+        self, monitor, torque, moved
+    ):
+        noise = 1e-4 * np.random.default_rng(0).standard_normal((20_000, ARM.n))
+        for share, angles in zip(np.linspace(0.0, 1.0, len(noise)), noise, strict=True):
+            angles[0] += share * moved
+            monitor.update(share * torque * np.eye(ARM.n)[1], HOME + angles, REST)
+        assert monitor.in_contact and not monitor.stopped
 
     def test_sudden_torque_stops_below_the_threshold_of_a_slow_one(self):
         torque = 1.1 * np.array(self.budget.sudden_thresholds)[1] * np.eye(ARM.n)[1]
@@ -181,34 +185,52 @@ def test_weight_that_the_model_does_not_know_stops_the_arm_at_hand_over_and_is_n
     assert monitor.distrust == monitor.stop_reason and monitor.stops == 1
 
 
-@pytest.mark.parametrize("period", (0.001, 0.005, 0.01))
-class TestOtherRates:
-    """Debounces last as long at every rate, and at least two states; means follow as fast."""
+@pytest.mark.parametrize(
+    ("debounce", "period", "states"),
+    [(1, 0.01, 1), (3, 0.001, 3), (3, 0.005, 2), (100, 0.001, 100), (100, 0.005, 20), (100, 0.01, 10)],
+)
+def test_a_debounce_lasts_as_long_at_every_rate_and_at_least_two_states(debounce, period, states):
+    monitor = SafetyMonitor(ARM, SafetySettings(debounce=debounce), BUDGET, period)
+    push(monitor, 1.1 * THRESHOLDS, states - 1)
+    assert not monitor.stopped
+    push(monitor, 1.1 * THRESHOLDS, 1)
+    assert monitor.stopped
 
+
+@pytest.mark.parametrize("period", [0.001, 0.01])
+def test_the_slow_mean_follows_as_fast_at_every_rate(period):
     budget = ContactBudget().resolve(ARM)
+    monitor = SafetyMonitor(ARM, SETTINGS, budget, period)
+    torque = 0.9 * np.array(budget.contact_thresholds)
+    for state in range(round(1e-3 * MEAN_TIME / period)):
+        monitor.update(torque, HOME + 0.05 * state, REST)
+    assert not monitor.in_contact
+    np.testing.assert_allclose(monitor.sudden, np.exp(-1.0) * torque, rtol=0.03)
 
-    def states(self, monitor: SafetyMonitor, torque: np.ndarray, ends: str, known_for: float = math.inf) -> int:
-        """Number of states with a torque until an attribute changes."""
-        before, count = getattr(monitor, ends), 0
-        while getattr(monitor, ends) == before and count < 10000:
-            monitor.update(torque, HOME, REST, known_for)
-            count += 1
-        return count
 
-    def check(self, states: int, milliseconds: int, period: float) -> None:
-        least = min(milliseconds, 2)
-        assert states >= least
-        assert states == least or abs(1000 * period * states - milliseconds) <= 1000 * period / 2
+def test_the_packages_file_says_what_the_code_says_and_another_replaces_what_it_names(tmp_path):
+    assert load_budget() == ContactBudget()
+    file = tmp_path / "budget.yaml"
+    file.write_text("permitted_force: 4")
+    assert load_budget(str(file)) == ContactBudget(permitted_force=4.0)
 
-    @pytest.mark.parametrize("debounce", [1, 3, 100])
-    def test_of_a_stop(self, period, debounce):
-        monitor = SafetyMonitor(ARM, SafetySettings(debounce=debounce), BUDGET, period)
-        self.check(self.states(monitor, 1.1 * THRESHOLDS, "stopped"), debounce, period)
 
-    def test_the_slow_mean_follows_in_as_long(self, period):
-        monitor = SafetyMonitor(ARM, SETTINGS, self.budget, period)
-        torque = 0.9 * np.array(self.budget.contact_thresholds)
-        for state in range(round(1e-3 * MEAN_TIME / period)):
-            monitor.update(torque, HOME + 0.05 * state, REST)
-        assert not monitor.in_contact
-        np.testing.assert_allclose(monitor.sudden, np.exp(-1.0) * torque, rtol=0.03)
+@pytest.mark.parametrize(
+    ("content", "key"),
+    [
+        ("permited_force: 4", "unknown key 'permited_force'"),
+        ("handover_time: 0.3", "'handover_time' was removed in 0.3.0: leave it out; it is fixed at 0.3 s"),
+        ("permitted_force: -1", "permitted_force = -1: expected"),
+        ("torque_thresholds: [30, 30, 25, 25, 15, 10, 0]", "torque_thresholds = 0: expected"),
+    ],
+)
+def test_file_and_key_are_named_when_it_is_refused(tmp_path, content, key):
+    file = tmp_path / "budget.yaml"
+    file.write_text(content)
+    with pytest.raises(SettingsError, match=f"^{file}: {key}"):
+        load_budget(file)
+
+
+def test_thresholds_for_another_number_of_joints_are_refused_for_the_arm():
+    with pytest.raises(SettingsError, match=r"torque_thresholds = .*: expected a list of 7 values"):
+        ContactBudget(torque_thresholds=(30.0, 30.0, 25.0)).resolve(ARM)
