@@ -60,8 +60,3 @@ def _make() -> Arm:
 
 
 SIX_AXIS = _make()
-
-
-def on_iiwa(q: np.ndarray) -> np.ndarray:
-    """Joint angles (7,) of the iiwa with the same flange pose."""
-    return np.insert(q, _DROPPED, 0.0)
