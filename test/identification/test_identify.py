@@ -57,7 +57,7 @@ def test_links_that_differ_make_no_tool_of_negative_mass():
 
 def test_links_of_the_bare_arm_and_then_its_tool():
     shifted = ARM.with_center_shifts((0.0,) * 7, (0.0, -0.04, 0.01, 0.02, 0.0, -0.01, 0.0))
-    bare = identify(ARM, NO_TOOL, SETTINGS, BUDGET, [recording(shifted, 29.0)], links=True)
+    bare = identify(ARM, NO_TOOL, SETTINGS, BUDGET, [recording(shifted, 40.0)], links=True)
     assert bare.tool is None
     np.testing.assert_allclose(bare.momentum.center_shift_y[1:6], (-0.04, 0.01, 0.02, 0.0, -0.01), atol=5e-3)
     settings = dataclasses.replace(SETTINGS, momentum=bare.momentum)
