@@ -48,7 +48,7 @@ def draw_contact(random) -> tuple[Scene, np.ndarray]:
 def predicted_forces(scenes: list[Scene], actions: list[np.ndarray]) -> np.ndarray:
     """Largest force on a link within the horizon by the transfer model, N, of all scenes at once."""
     reader = ObstacleReader(ARM, 1)
-    each = [reader.read(scene.start, obstacle_spheres(scene, rest_positions(scene)))[0] for scene in scenes]
+    each = [reader.read(scene.start, obstacle_spheres(scene, rest_positions(scene))) for scene in scenes]
     centers = single(np.concatenate([one.center for one in each], axis=-1))
     q = single(np.stack([scene.start for scene in scenes], axis=-1))
     problem = Problem(

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 from arm_simulation import TICK_NS
-from test_planner import GOAL, SETTINGS, Core, make, report, state, touch
+from test_planner import GOAL, Core, make, report, state, touch
 
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress
-from contact_reach_ros.planning.unexpected_contact import RETREAT
+from contact_reach_ros.planning.settings import RETREAT
 from contact_reach_ros.world.goal import Goal, Target
 
 TARGET = Target(np.zeros(3), np.eye(3))
@@ -67,16 +67,6 @@ class TestPlanner:
                 planner.solve(request)
             seen.append(planner.goal_state.phase)
         return [phase for phase, _ in itertools.groupby(seen)]
-
-    def test_a_timeout_withdraws_it(self):
-        noted = []
-        settings = dataclasses.replace(SETTINGS, goal_timeout=0.1)
-        planner = make(Core(), settings=settings, refuse=lambda what, error: noted.append((what, str(error))))
-        planner.command(GOAL)
-        assert self.phases(planner, 0, 99)[-1] is GoalPhase.RUNNING
-        assert self.phases(planner, 100, 200) == [GoalPhase.RUNNING, GoalPhase.TIMED_OUT]
-        assert planner.goal is None
-        assert noted == [("goals", "not settled within 0.1 s: the goal is withdrawn")]
 
     def test_a_retreat_gives_it_up(self):
         planner = make(Core(), RETREAT)

@@ -54,7 +54,7 @@ def test_solution_stays_within_the_bounds(sampling):
     np.testing.assert_allclose(solution.best, 1.0, rtol=0, atol=1e-3)
 
 
-def test_non_finite_candidates_are_counted_and_never_win():
+def test_non_finite_candidates_never_win():
     target = np.full(N, -0.3)
     target[0] = 0.5  # where the function would be smallest, it is not defined
     solution = solve(cost=half_undefined, target=target)

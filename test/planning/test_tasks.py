@@ -20,7 +20,6 @@ from contact_reach_ros.planning.planner import Planner
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import ReplanningSettings, UnexpectedContactSettings
 from contact_reach_ros.planning.terms import Problem, term_weights
-from contact_reach_ros.planning.unexpected_contact import ContactReaction
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.goal import Goal, Target
