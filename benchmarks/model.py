@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.controller import blend
 from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import AXIS, ImpedanceSettings
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.settings import PIPELINES, PlanningSettings
 from contact_reach_ros.planning.transfer.lanes import single
@@ -71,7 +71,7 @@ def simulate(
     actions: Array,
     before: Reference | None = None,
     spheres: Array | None = None,
-    watch: Callable[[RobotModel, Array, Array], None] | None = None,
+    gains: ImpedanceSettings | None = None,
 ) -> Motion:
     """The simulated robot from the start of a scene with the speeds `v` (n,), under the actions (H, 6 + n).
 
@@ -83,8 +83,8 @@ def simulate(
         Reference in force at the start; by default that of a hold.
     spheres
         (K, 3) positions of the obstacles' spheres at the start, m; by default at rest.
-    watch
-        Called at each tick with the model at the state before it, and joint angles and speeds (n,) after it.
+    gains
+        Of the law and its references; by default the package's.
     """
     arm = scene.arm
     plant = Plant(scene, SensorSettings(), JointSettings(viscous_friction=0.0, coulomb_friction=0.0))
@@ -94,7 +94,7 @@ def simulate(
         plant.data.qpos[arm.n :] = (spheres - rest_positions(scene))[movable].ravel()
     data = plant.data
     data.qvel[: arm.n] = v
-    gains = ImpedanceSettings()
+    gains = gains or ImpedanceSettings()
     law, model = ImpedanceLaw(arm, gains), RobotModel(arm)
     before = before or Reference(*model.tip_pose(scene.start), scene.start)
     motion: list[tuple[Array, Array, Array, Array]] = []
@@ -102,17 +102,17 @@ def simulate(
         q, v = data.qpos[: arm.n], data.qvel[: arm.n]
         ahead = q + 0.5 * gains.reference_ramp * v
         position, rotation = model.tip_pose(ahead)
-        knot = Reference(position + action[:3], pin.exp3(action[3:6]) @ rotation, ahead + action[6:])
+        # The two rotations that turn one axis are in the tip's axes.
+        turn = rotation @ action[3:6] if gains.task == AXIS else action[3:6]
+        knot = Reference(position + action[:3], pin.exp3(turn) @ rotation, ahead + action[6:])
         force = np.zeros(len(plant.contact_links))
         for tick in range(round(PlanningSettings().knot_duration / TICK)):
             share = min(1.0, tick * TICK / gains.reference_ramp) if gains.reference_ramp else 1.0
             reference = blend(before, knot, share)
             model.update(q, v)
-            error = pose_error(model.position, model.rotation, reference)
+            error = pose_error(model.position, model.rotation, reference, gains.task)
             plant.step(law.torque(model, v, q - reference.posture, error) + model.bias)
             force = np.maximum(force, normal_forces(plant))
-            if watch is not None:
-                watch(model, q, v)
         before = knot
         model.update(q, v)
         motion.append((model.position.copy(), model.rotation.copy(), q.copy(), force))

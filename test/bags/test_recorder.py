@@ -9,9 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
-from unittest.mock import Mock
 
 import pytest
 import rclpy
@@ -224,15 +222,3 @@ def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pyt
 def test_a_text_that_cannot_be_kept_is_named(settings: RecorderSettings, message: str) -> None:
     with pytest.raises(BagError, match=message):
         settings.texts()
-
-
-def test_topic_of_two_types_is_not_recorded(recorder: Recorder, capfd: pytest.CaptureFixture[str]) -> None:
-    types = [f"std_msgs/msg/{name}" for name in ("String", "Float64MultiArray")]
-    publishers = [SimpleNamespace(topic_type=name, qos_profile=RELIABLE) for name in types]
-    node = Mock(wraps=recorder.node)
-    node.count_publishers.side_effect = lambda _: 2
-    node.get_publishers_info_by_topic.side_effect = lambda _: publishers
-    with BagWriter(recorder.directory) as writer:
-        TopicRecorder(node, writer, ["/state"]).discover()
-    assert "'/state' has the types std_msgs/msg/Float64MultiArray, std_msgs/msg/String" in capfd.readouterr().err
-    assert BagReader(recorder.directory).topics == {}

@@ -20,9 +20,3 @@ def test_report_holds_every_node(tmp_path, monkeypatch, capsys):
         assert row["ratio"] == pytest.approx(1.0, abs=0.2)
         assert row["time_ratio"] == pytest.approx(1.0, abs=0.3)
     assert "ratio" in capsys.readouterr().out
-
-
-def test_force_out_of_range_is_refused(capsys):
-    force = "101"
-    assert bench(foam, "--force", force) == 2
-    assert f"force = {force} N: expected a number above 0, at most 100" in capsys.readouterr().err

@@ -1,7 +1,7 @@
 """The collision-free baseline in episodes: contact-free, within the method's bounds, planned once."""
 
 import numpy as np
-from arm_simulation import ARM, HOME
+from arm_simulation import ARM
 from scipy.spatial.transform import Rotation
 
 from benchmarks.baselines.collision_free import CollisionFreePlanner
@@ -11,36 +11,24 @@ from benchmarks.episode import EpisodeOptions, run_episode
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
-from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.settings import POSTURE_BOUND, ROTATION_BOUND, PlanningSettings
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.scene_file import read_scene
-from contact_reach_ros.world.spheres import Spheres
 
 SETTINGS = PlanningSettings()
 QUICK = PathSettings(searches=2, iterations=300, goal_samples=600)
-MS = 1_000_000
-
-
 GAINS = ImpedanceSettings()
 AHEAD = 0.5 * GAINS.reference_ramp
 """References are from where the arm will be then, s."""
 
 
-def search(arm, q, goal, spheres, seed):
-    return find_path(arm, q, goal, spheres, QUICK, seed)
-
-
-def make_planner(search=search) -> CollisionFreePlanner:
-    planner = CollisionFreePlanner(ARM, SETTINGS, GAINS, search, 0)
-    planner.warm_up(lambda line: None)
-    return planner
-
-
 def test_goal_behind_a_ball_is_reached_without_any_contact_within_the_methods_bounds():
-    scene = make_scene(read_scene("ball"), ARM, 0)
-    result = run_episode(scene, Method(make_planner(), ControllerSettings()), EpisodeOptions())
+    def search(arm, q, goal, spheres, seed):
+        return find_path(arm, q, goal, spheres, QUICK, seed)
+
+    scene, planner = make_scene(read_scene("ball"), ARM, 0), CollisionFreePlanner(ARM, SETTINGS, GAINS, search, 0)
+    planner.warm_up(lambda line: None)
+    result = run_episode(scene, Method(planner, ControllerSettings()), EpisodeOptions())
     assert result.reached and result.contact_forces.max() == 0.0
     # The way until then at the speed that the bounds permit.
     share = 1.0 + AHEAD * GAINS.task_stiffness / GAINS.task_damping
@@ -52,27 +40,3 @@ def test_goal_behind_a_ball_is_reached_without_any_contact_within_the_methods_bo
             assert np.abs(plan.positions[knot] - origins[-1]).max() <= share * SETTINGS.translation_bound
             assert np.abs(turn).max() <= share * ROTATION_BOUND
             assert (np.abs(plan.postures[knot] - q) <= POSTURE_BOUND + slack).all()
-
-
-def test_the_path_is_searched_once_for_each_goal_and_after_a_reset():
-    rotations, origins = link_frames(ARM, HOME)
-    goal = Target(origins[-1] + np.array([0.0, 0.1, 0.0]), rotations[-1])
-    searches = []
-
-    def counted(*args):
-        searches.append(args)
-        return search(*args)
-
-    def plan(q=HOME, state=0, goal=goal):
-        return planner.plan(Request(q, np.zeros(ARM.n), state * MS, (state + 40) * MS, goal, Spheres.none()))
-
-    planner = make_planner(counted)
-    first = plan()
-    plan(first.predicted_q[0], 40)
-    assert len(searches) == 1
-    plan(first.predicted_q[0], 80, Target(goal.position + 0.02, goal.rotation))
-    assert len(searches) == 2
-    planner.reset()
-    again = plan()
-    assert len(searches) == 3
-    np.testing.assert_array_equal(again.postures, first.postures)

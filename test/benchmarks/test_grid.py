@@ -5,7 +5,7 @@ import itertools
 
 import pytest
 
-from benchmarks.grid import DEADLINE_STEPS, Cell, EpisodeTask, Setup, cell_of, episode_seeds, run_cell
+from benchmarks.grid import DEADLINE_STEPS, Cell, EpisodeTask, Setup, cell_of, run_cell
 from benchmarks.workers import run_each
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -32,12 +32,6 @@ def test_other_processes_and_another_order_give_the_same_to_the_last_bit():
     found = {cell_of(record): record for record in run_each(run_cell, tasks()[::-1], 2)}
     assert [figures(found[task.cell]) for task in tasks()] == [figures(record) for record in here]
     assert {record["failure"] for record in here} == {""}
-
-
-def test_seeds_of_solver_and_noise_depend_on_target_and_repeat():
-    seeds = [episode_seeds(target, repeat) for target in range(5) for repeat in range(5)]
-    assert all(len(set(column)) == 25 for column in zip(*seeds, strict=True))
-    assert max(solver for solver, _ in seeds) < 2**24
 
 
 def test_an_error_is_a_failed_episode_with_its_message():

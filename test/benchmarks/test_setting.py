@@ -39,16 +39,3 @@ def test_the_best_value_presses_least_among_those_that_are_sure_and_quick():
     rows = [row(0, 4, 1.1, 8.0), row(0.01, 4, 1.2, 1.2), row(0.05, 4, 1.9, 1.0), row(5, 0, float("nan"), 0.0)]
     assert best(rows) == 0.01
     assert best(rows[3:]) is None
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["contact_wieght", "1"], "contact_wieght"),
-        (["null_stiffness", "1000"], "null_stiffness"),
-        (["max_steps", "1", "--others", "population"], "expected NAME=VALUE"),
-    ],
-)
-def test_settings_that_are_not_there_and_values_out_of_range_are_refused(arguments, message, capsys):
-    assert bench(setting, *arguments) == 2
-    assert message in capsys.readouterr().err

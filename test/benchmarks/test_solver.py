@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bench_command import bench
 
-from benchmarks import pictures, solver
+from benchmarks import pictures
 from benchmarks.solver import LABELS, bench_solver, excess
 from benchmarks.solver_steps import PRESETS, bench_solver_steps
 from contact_reach_ros.planning.settings import SOLVERS, PlanningSettings
@@ -43,11 +43,3 @@ def test_ten_steps_of_every_solver_lower_the_cost(capsys):
             assert 0.0 < low <= entry["mean"] <= high
         assert found[configuration]["hybrid"]["share"]["mean"] == 1.0
     assert capsys.readouterr().out.count("| free |") == len(PRESETS) * len(SOLVERS)
-
-
-@pytest.mark.parametrize(
-    ("option", "value", "says"), [("--states", "1", "at least 2"), ("--seconds", "0", "0.001 to 60")]
-)
-def test_too_little_is_refused(capsys, option, value, says):
-    assert bench(solver, option, value) == 2
-    assert says in capsys.readouterr().err

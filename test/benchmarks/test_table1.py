@@ -6,7 +6,7 @@ import pytest
 from bench_command import bench
 from test_grid import TINY
 
-from benchmarks import pictures, table1
+from benchmarks import pictures
 from benchmarks.table1 import Table1, bench_table1
 
 BENCH = Table1(scenes=("free",), goals=("hold",), methods=("cma_es",), targets=2, repeats=3, timeout=0.6, latency=0.05)
@@ -25,17 +25,3 @@ def test_a_run_writes_its_episodes_and_claims_and_can_be_drawn(tmp_path, capsys)
     assert "| free | cma_es | 0/6 |" in capsys.readouterr().out
     assert bench(pictures, file, file, picture) == 0
     assert picture.stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--methods", "rrt"], "--methods 'rrt' is unknown; expected one of contact_reach"),
-        (["--scenes", "sphere"], "scene 'sphere' is unknown"),
-        (["--targets", "0"], "--targets 0: expected at least 1"),
-        (["--preset", "paper"], "preset 'paper' is unknown; expected one of paper_linear"),
-    ],
-)
-def test_what_cannot_be_run_is_refused(arguments, message, capsys):
-    assert bench(table1, *arguments) == 2
-    assert message in capsys.readouterr().err

@@ -20,30 +20,6 @@ def flange_moment(tool: Tool) -> np.ndarray:
     return tool.mass * np.array([1.0, *np.add(tool.center, ARM.tip_offset)])
 
 
-@pytest.mark.parametrize(("mass", "seed"), [(0.01, 0), (0.8, 1), (5.0, 2)])
-def test_prediction_is_inverse_dynamics(mass, seed):
-    random = np.random.default_rng(seed)
-    x, y = (tuple(random.uniform(-0.1, 0.1, 7).tolist()) for _ in range(2))
-    tool = Tool(
-        mass=mass, center=tuple(random.uniform(-0.2, 0.2, 3).tolist()), inertia=(2e-3, 2e-3, 1e-3, 0.0, 0.0, 0.0)
-    )
-    shifted, held = ARM.with_center_shifts(x, y), ARM.with_tool(tool)
-    for true, parameters, own in (
-        (shifted.with_tool(tool), Parameters(shifted, tool), flange_moment(tool)),
-        (held.with_center_shifts(x, y), Parameters(held, None), x + y),
-    ):
-        taken = samples(true, 0.2, seed)
-        values = np.concatenate([own, COULOMB, VISCOUS, OFFSET])
-        regressor = parameters.regressor(taken)
-        errors, columns = parameters.rows(taken, *regressor, values)
-        np.testing.assert_allclose(errors, 0.0, atol=1e-8)
-        # The columns are the slopes: but for the tool's moment of inertia, which is found by repetition.
-        step = 1e-6 * random.standard_normal(len(values))
-        if "tool" in parameters.slots:
-            step[:4] = 0.0
-        np.testing.assert_allclose(parameters.rows(taken, *regressor, values + step)[0], -columns @ step, atol=1e-9)
-
-
 def test_exact_torques_give_exact_values_of_the_tool_or_of_the_links():
     held = ARM.with_tool(HELD)
     found = fit(Parameters(ARM, NO_TOOL), [samples(held, 40.0)])

@@ -5,19 +5,11 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
-import pinocchio as pin
 from arm_simulation import ARM, HOME
 
-from benchmarks.law import ImpedanceLaw, pose_error
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.kinematics import link_frames
-from contact_reach_ros.arm.mjcf import build_mjcf
-from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.controller import blend
-from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.settings import AXIS, ImpedanceSettings
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning import cost
 from contact_reach_ros.planning.cost import Objective
 from contact_reach_ros.planning.obstacles import ObstacleReader
@@ -48,31 +40,6 @@ FLANGE = ORIGINS[-1]
 def beside_forearm(gap: float) -> np.ndarray:
     """Centre of a ball of 0.1 m beside the forearm of the arm at home, `gap` m from its surface."""
     return ORIGINS[4] + ROTATIONS[4] @ (0.0, 0.0, 0.11) + (0.075 + 0.1 + gap) * np.array([0.0, 1.0, 0.0])
-
-
-def simulate(arm: Arm, gains: ImpedanceSettings, q: np.ndarray, actions: np.ndarray) -> np.ndarray:
-    """Joint angles (H, n) after each knot of the actions (H, 6 + n), in MuJoCo at 1 ms under the controller's law."""
-    plant = mujoco.MjModel.from_xml_string(build_mjcf(arm))
-    data = mujoco.MjData(plant)
-    data.qpos[:] = q
-    law, model = ImpedanceLaw(arm, gains), RobotModel(arm)
-    before, angles = Reference(*model.tip_pose(q), q), []
-    for action in actions:
-        ahead = data.qpos + 0.5 * gains.reference_ramp * data.qvel
-        position, rotation = model.tip_pose(ahead)
-        # The two rotations that turn one axis are in the tip's axes.
-        turn = rotation @ action[3:6] if gains.task == AXIS else action[3:6]
-        knot = Reference(position + action[:3], pin.exp3(turn) @ rotation, ahead + action[6:])
-        for tick in range(100):
-            share = min(1.0, 1e-3 * tick / gains.reference_ramp) if gains.reference_ramp else 1.0
-            reference = blend(before, knot, share)
-            model.update(data.qpos, data.qvel)
-            error = pose_error(model.position, model.rotation, reference, gains.task)
-            data.qfrc_applied[:] = law.torque(model, data.qvel, data.qpos - reference.posture, error) + model.bias
-            mujoco.mj_step(plant, data)
-        before = knot
-        angles.append(data.qpos.copy())
-    return np.array(angles)
 
 
 def ball_at(center: np.ndarray, stiffness: float = 100.0, damping: float = 30.0) -> Spheres:

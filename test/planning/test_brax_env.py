@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from arm_simulation import ARM
 from brax import envs
-from brax.envs.wrappers import training
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.brax_env import NAME, ContactReach
@@ -60,33 +59,6 @@ def test_episode_is_the_rollout_of_the_planner(env):
         np.testing.assert_allclose(total, float(value[0]), rtol=2e-5, atol=2e-6, err_msg=name)
     returned = sum(float(state.reward) for state in states)
     assert returned == pytest.approx(-sum(float(value[0]) for value in terms.values()), rel=1e-5)
-
-
-def test_brax_wraps_it_into_many_episodes(env):
-    wrapped = training.wrap(env, episode_length=2)
-    state = jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(0), 3))
-    actions = jnp.zeros((3, env.action_size)).at[1, 1].set(1.0).at[2, 1].set(-1.0)
-    step = jax.jit(wrapped.step)
-    moved = step(state, actions)
-    # Not with one episode alone, whose program rounds differently.
-    several = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 3))
-    np.testing.assert_allclose(moved.reward, jax.jit(jax.vmap(env.step))(several, actions).reward)
-    tip = np.asarray(moved.obs)[:, 2 * ARM.n + 1]
-    assert tip[2] < tip[0] < tip[1]
-    assert step(moved, actions).done.tolist() == [1.0, 1.0, 1.0]
-
-
-@pytest.mark.slow
-def test_return_has_a_gradient(env):
-    """Through law (3) and the contact, as Brax's analytic policy gradients need it."""
-    state = env.reset(jax.random.key(0))
-    action = jnp.full(env.action_size, 0.2).at[1].set(-0.9)
-    reward = jax.jit(lambda action: env.step(state, action).reward)
-    along = np.random.default_rng(1).uniform(-1.0, 1.0, env.action_size).astype(np.float32)
-    slope = float(jax.jit(jax.grad(reward))(action) @ along)
-    difference = float(reward(action + 0.02 * along) - reward(action - 0.02 * along))
-    assert slope == pytest.approx(difference / 0.04, rel=0.02)
-    assert abs(slope) > 0.01
 
 
 def test_brax_knows_the_environment_and_another_system_is_refused(env):

@@ -21,6 +21,7 @@ from contact_reach_ros.planning.solver.solver import shift_solution
 
 N, PARENTS = 5, 20
 H, SIZE = 3, 2
+GENERATIONS = 60
 
 
 def test_invalid_parents_leave_no_trace():
@@ -31,13 +32,6 @@ def test_invalid_parents_leave_no_trace():
     first, second = (update(Rates.of(N, PARENTS), start, each, valid, np.zeros(N)) for each in (parents, other))
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a, b)
-
-
-GENERATIONS = 80
-
-
-def ellipsoid(x: np.ndarray) -> np.ndarray:
-    return (np.logspace(0, 4, len(x))[:, None] * x**2).sum(axis=0)
 
 
 def turned_cigar(x: np.ndarray) -> np.ndarray:
@@ -59,9 +53,8 @@ def reference(n: int, population: int, parents: int, rates: Rates) -> cma.CMAEvo
     return strategy
 
 
-@pytest.mark.parametrize("function", [ellipsoid, turned_cigar])
 @pytest.mark.parametrize(("n", "population", "parents"), [(2, 12, 3), (39, 200, 50)])
-def test_every_generation_is_that_of_the_cma_package(function, n, population, parents):
+def test_every_generation_is_that_of_the_cma_package(n, population, parents):
     """Both get the same candidates, ours; then mean, step size, covariance and paths agree to 1e-8."""
     rates = Rates.of(n, parents)
     # The package approximates E‖N(0, I)‖ to a few digits.
@@ -82,7 +75,7 @@ def test_every_generation_is_that_of_the_cma_package(function, n, population, pa
             theirs.ask()
             steps = np.asarray(draw(ours, jax.random.PRNGKey(generation), population))
             points = np.asarray(ours.mean)[:, None] + float(ours.sigma) * steps
-            values = function(points)
+            values = turned_cigar(points)
             theirs.tell(list(points.T), list(values), check_points=False)
             order = np.argsort(values)[:parents]
             averages.append(values.mean())

@@ -10,7 +10,6 @@ from arm_simulation import ARM, HOME, random_states
 
 from contact_reach_ros.arm.capsules import pair_distances, self_pairs, shape_radii, shape_segments
 from contact_reach_ros.errors import PlanningError
-from contact_reach_ros.planning import obstacles
 from contact_reach_ros.planning.obstacles import BLOCKS, PLANES, check_motion, nearest_bodies
 from contact_reach_ros.planning.transfer.clearance import intrusion
 from contact_reach_ros.planning.transfer.dynamics import link_frames, place_capsules
@@ -31,13 +30,12 @@ BODIES = (
 )
 MARGIN = 0.3
 """Large, so that random postures are within it."""
-FOLDED = np.array([-0.111, -1.675, -2.867, -1.939, 2.733, -1.506, -2.731])
-"""Hand and base overlap by 12 mm."""
-
-
 AT_BASE = np.array([-1.232, 1.536, 0.311, -1.789, -0.306, 1.494, 1.921])
 """The hand is low beside the base and points at it."""
-LIFTED = HOME + np.array([0.0, -0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+BESIDE = (0.58, 0.25, 0.12)
+"""Straight from home it is through the table's edge."""
+BEYOND_BASE = (0.124, 0.157, 0.0)
+"""Straight from `AT_BASE` it is through the base."""
 
 
 def expected_intrusion(q: np.ndarray, environment: Environment, margin: float) -> np.ndarray:
@@ -75,13 +73,6 @@ def test_the_compiled_distances_are_those_of_the_searches(program):
     assert off.max() < 0.05
 
 
-def test_without_bodies_only_the_arm_itself_counts(program):
-    q = np.stack([HOME, FOLDED])
-    found = np.asarray(program(jnp.asarray(q.T, jnp.float32), nearest_bodies(ARM, HOME, ()), 0.02))
-    np.testing.assert_allclose(found, expected_intrusion(q, (), 0.02), rtol=1e-2, atol=1e-9)
-    assert found[0] == 0.0 < found[1]
-
-
 def test_the_derivative_at_fixed_nearest_points_is_that_of_the_distance(program):
     bodies = nearest_bodies(ARM, HOME, BODIES)
     for seed in range(5):
@@ -104,69 +95,46 @@ def test_of_many_bodies_the_nearest_are_taken():
     assert bodies.offset.shape == (PLANES, 1) and bodies.half.shape == (3, BLOCKS, 1)
 
 
-class TestRefusal:
-    def test_a_motion_into_a_body_is_refused_with_numbers_and_one_out_of_it_is_not(self):
-        floor = (Plane("floor", (0.0, 0.0, 0.22)),)
-        with pytest.raises(PlanningError, match=r"lbr_link_7 lies 1\d\.\d mm deep in the floor, permitted are 2 mm"):
-            check_motion(ARM, np.stack([LIFTED, HOME]), floor)
-        check_motion(ARM, np.stack([LIFTED, HOME]), (Plane("floor", (0.0, 0.0, 0.2)),))
-
-        up = np.linspace(HOME, LIFTED, 4)
-        assert nearest(ARM, up[:1], floor)[0].distance < -0.01
-        check_motion(ARM, up, floor)
-        with pytest.raises(PlanningError):
-            check_motion(ARM, up[::-1], floor)
+def test_a_motion_into_a_body_is_refused_with_numbers_and_one_out_of_it_is_not():
+    floor = (Plane("floor", (0.0, 0.0, 0.22)),)
+    up = np.linspace(HOME, HOME + np.array([0.0, -0.1, 0.0, 0.0, 0.0, 0.0, 0.0]), 4)
+    assert nearest(ARM, up[:1], floor)[0].distance < -0.01
+    check_motion(ARM, up, floor)
+    with pytest.raises(PlanningError, match=r"lbr_link_7 lies 1\d\.\d mm deep in the floor, permitted are 2 mm"):
+        check_motion(ARM, up[::-1], floor)
+    check_motion(ARM, up[::-1], (Plane("floor", (0.0, 0.0, 0.2)),))
 
 
-class Watched:
-    """A stack with the shared planner, and how near the true arm came to bodies and itself."""
-
-    def __init__(self, core, environment: Environment, target, start: np.ndarray = HOME) -> None:
-        scene = Scene("test", ARM, 0, start, np.array(target), environment=environment)
-        self.stack = Stack(scene, planner=core)
-        self.least = np.inf
-
-    def run(self, goal: Goal, timeout: float):
-        return self.stack.run(goal, timeout, self.look)
-
-    def look(self, _) -> None:
-        q = self.stack.robot.plant.data.qpos[None, : ARM.n]
-        self.least = min(self.least, nearest(ARM, q, self.stack.scene.environment)[0].distance)
+def stack_for(planner, environment: Environment, goal: Goal, start: np.ndarray = HOME) -> Stack:
+    """A stack with the shared planner; its simulated robot has contact with rigid bodies and itself."""
+    scene = Scene("test", ARM, 0, start, np.array(goal.position), environment=environment)
+    return Stack(scene, planner=planner)
 
 
-@pytest.fixture
-def careless(planner, monkeypatch):
-    """The shared planner, made to ignore bodies; its compiled programs are the same."""
+@pytest.mark.parametrize(
+    ("environment", "start", "goal", "largest"),
+    [
+        pytest.param((TABLE,), HOME, Goal(BESIDE), 0.02, marks=pytest.mark.slow, id="table"),
+        pytest.param((), AT_BASE, Goal(BEYOND_BASE, FREE), 0.1, id="base"),
+    ],
+)
+def test_the_arm_touches_neither_a_table_in_its_way_nor_itself(planner, environment, start, goal, largest):
+    stack, distances = stack_for(planner, environment, goal, start), []
+
+    def watch(_) -> None:
+        q = stack.robot.plant.data.qpos[None, : ARM.n]
+        distances.append(nearest(ARM, q, environment)[0].distance)
+
+    result = stack.run(goal, 8.0, watch)
+    assert result.reached and result.max_contact_force == 0.0
+    assert 0.005 < min(distances) < largest
+
+
+def test_a_plan_that_leads_into_a_body_is_refused(planner, monkeypatch):
+    """Of the shared planner, made to ignore bodies; its compiled programs are the same."""
     monkeypatch.setattr(planner, "_settings", dataclasses.replace(planner._settings, clearance_weight=1e-6))
-    monkeypatch.setattr(obstacles, "COLLISION_TOLERANCE", 1.0)
-    return planner
-
-
-class TestClosedLoop:
-    """Shapes and all are those of the simulated robot, which has contact with rigid bodies and itself."""
-
-    BESIDE = (0.58, 0.25, 0.12)
-    """Straight from home it is through the table's edge."""
-    BEYOND_BASE = (0.124, 0.157, 0.0)
-    """Straight from `AT_BASE` it is through the base."""
-
-    @pytest.mark.slow
-    def test_past_the_edge_of_a_table_the_arm_does_not_touch_it(self, planner):
-        watched = Watched(planner, (TABLE,), self.BESIDE)
-        result = watched.run(Goal(self.BESIDE), 8.0)
-        assert result.reached and result.max_contact_force == 0.0
-        assert 0.005 < watched.least < 0.02
-
-    def test_its_plans_are_refused_before_that(self, careless, monkeypatch):
-        monkeypatch.setattr(obstacles, "COLLISION_TOLERANCE", 0.002)
-        watched = Watched(careless, (TABLE,), self.BESIDE)
-        result = watched.run(Goal(self.BESIDE), 3.0)
-        assert not result.reached and result.max_contact_force == 0.0
-        assert "the plan would bring the arm into a collision: lbr_link_7 lies" in result.stop_reason
-        assert "deep in the table, permitted are 2 mm" in result.stop_reason
-
-    def test_around_its_own_base_the_arm_does_not_touch_itself(self, planner):
-        watched = Watched(planner, (), self.BEYOND_BASE, AT_BASE)
-        result = watched.run(Goal(self.BEYOND_BASE, FREE), 8.0)
-        assert result.reached and result.max_contact_force == 0.0
-        assert watched.least > 0.005
+    goal = Goal(BESIDE)
+    result = stack_for(planner, (TABLE,), goal).run(goal, 3.0)
+    assert not result.reached and result.max_contact_force == 0.0
+    assert "the plan would bring the arm into a collision: lbr_link_7 lies" in result.stop_reason
+    assert "deep in the table, permitted are 2 mm" in result.stop_reason

@@ -21,8 +21,6 @@ from planning_helpers import (
 )
 
 from contact_reach_ros.arm.kinematics import rotation_about
-from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import JOINT_LIMIT_MARGIN, ROUNDING, TERMS, Problem, Term, term_weights
@@ -73,22 +71,6 @@ def test_joint_limit_term_begins_at_the_margin(roll_out, limit):
         q = np.append(HOME[:6], limit - np.sign(limit) * (JOINT_LIMIT_MARGIN - beyond))
         _, terms = roll_out(make_problem(q, FLANGE, ball(FAR_BALL)), STILL)
         assert terms["joint_limit"][0] == pytest.approx(expected, rel=1e-3, abs=1e-6)
-
-
-def test_references_are_the_pose_half_a_ramp_later_plus_the_action(roll_out):
-    random = np.random.default_rng(0)
-    actions = random.uniform(-0.01, 0.01, (3, 13, LANES))
-    v = random.uniform(-1.0, 1.0, 7)
-    problem = make_problem(HOME, FLANGE, ball(FAR_BALL))
-    rollout, _ = roll_out(problem._replace(v=jnp.asarray(v[:, None], jnp.float32)), actions)
-    ahead = HOME + 0.5 * ImpedanceSettings().reference_ramp * v
-    position, rotation = RobotModel(ARM).tip_pose(ahead)
-    reference = rollout.reference
-    np.testing.assert_allclose(reference.position[0], position[:, None] + actions[0, :3], rtol=0, atol=1e-6)
-    np.testing.assert_allclose(reference.posture[0], ahead[:, None] + actions[0, 6:], rtol=0, atol=1e-6)
-    angle = np.linalg.norm(actions[0, 3:6, 0])
-    expected = rotation_about(actions[0, 3:6, 0] / angle, angle) @ rotation
-    np.testing.assert_allclose(np.asarray(reference.rotation)[0, :, :, 0], expected, rtol=0, atol=1e-5)
 
 
 @pytest.fixture(scope="module")

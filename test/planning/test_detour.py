@@ -8,15 +8,12 @@ import pytest
 from arm_simulation import ARM, HOME, REST
 from planning_helpers import MS, ORIGINS, PERMITTED_FORCE, ROTATIONS, SMALL, ball_at
 
-from benchmarks.clutter_scenes import clutter_name, clutter_scene
-from benchmarks.grid import Cell, EpisodeTask, Setup, run_cell
 from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.detour import Detours
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.spheres import MAX_SPHERES, Spheres
+from contact_reach_ros.world.spheres import Spheres
 
 GOAL = Target(ORIGINS[-1] + np.array([0.1, 0.15, -0.1]), ROTATIONS[-1])
 PERIOD = 0.04
@@ -89,14 +86,11 @@ def test_no_detour_leads_into_more_force_than_permitted():
 
 
 @pytest.mark.parametrize("changes", [{"detour_patience": 0.0}, {"null_space": "reference_posture"}], ids=str)
-def test_settings_may_permit_none(changes):
+def test_settings_and_retreats_permit_none(changes):
+    assert not followed(begin(detours=False), HOME, 4.0).on_detour
     detours = Detours(ARM, dataclasses.replace(SMALL, **changes), PERMITTED_FORCE)
     request = Request(HOME, REST, 0, 0, GOAL, Spheres.none())
     assert detours.target(request, request) is request
-
-
-def test_a_retreat_takes_none():
-    assert not followed(begin(detours=False), HOME, 4.0).on_detour
 
 
 def test_plans_on_a_detour_lead_to_its_posture(planner):
@@ -114,16 +108,3 @@ def test_time_without_plans_is_no_lack_of_progress():
     for seconds in (5, 10):
         last = DETOURS.target(last._replace(effect_ns=seconds * 1000 * MS), last)
     assert not last.on_detour and last.detour.waited < 0.7
-
-
-@pytest.mark.slow
-def test_detours_reach_a_goal_in_clutter_that_the_straight_way_does_not():
-    scene = clutter_scene(ARM, 3)
-
-    def reaches(patience: float) -> bool:
-        setup = Setup.of("shipped", load_budget(), capacity=MAX_SPHERES, timeout=60.0)
-        setup = dataclasses.replace(setup, planning=dataclasses.replace(setup.planning, detour_patience=patience))
-        cell = Cell(clutter_name(3), "hold", "contact_reach", 3)
-        return run_cell(EpisodeTask(cell, scene, setup.latency(cell.method), setup))["reached"]
-
-    assert reaches(1.0) and not reaches(0.0)

@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 from arm_simulation import HOME, REST
 from planning_helpers import FLANGE, MS, SMALL, ball_at
-from plans import make_plan
 
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.messages.plan_request import Parts, read_memory, read_request, request_parts
 from contact_reach_ros.planning.detour import Detour
 from contact_reach_ros.planning.plan import Plan, Request
-from contact_reach_ros.planning.receding_horizon import Memory, RecedingHorizonPlanner
+from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.solver.solver import Solution
-from contact_reach_ros.planning.terms import Approach
 from contact_reach_ros.world.goal import Target
 
 GOAL = Target(FLANGE + np.array([0.1, 0.2, 0.0]), np.eye(3))
@@ -78,15 +76,6 @@ def test_a_plan_on_a_detour_is_made_again(planner):
     assert first.cost_terms["detour"] > 0.0
     parts = request_parts(2, request_at(40), memory, planner.memory.best)
     check_same(plan_again(planner, parts, request_at(40)), first)
-
-
-def test_references_that_step_have_none_before():
-    expected = make_plan(FLANGE + np.eye(3), np.tile(np.eye(3), (3, 1, 1)), np.tile(HOME, (3, 1)), effect_ns=40 * MS)
-    memory = Memory((expected,), request_at(0), np.zeros(39), None, Approach(0.1), 1)
-    parts = request_parts(2, request_at(30), memory, memory.best)
-    (trajectory,) = read_memory(parts, request_at(30), SMALL.knot_duration, 0.0).trajectories
-    assert trajectory.before is None and trajectory.effect_ns == expected.effect_ns
-    np.testing.assert_allclose(trajectory.positions, expected.positions, rtol=0, atol=1e-6)
 
 
 def test_only_what_can_be_in_force_is_kept(planner):

@@ -198,16 +198,6 @@ class TestObstacles:
             planner.command(GOAL)
         assert planner.goal is None and requests(planner, 1, 100) == {}
 
-    def test_a_goal_that_waited_is_taken_and_planned_for_once_they_are_known(self):
-        refused = []
-        planner = self.requiring(refuse=lambda *what: refused.append(what))
-        planner.command(GOAL)
-        assert requests(planner, 0, 59) == {}
-        # As often as a plan was due.
-        assert [what for what, _ in refused] == ["plans", "plans"]
-        planner.see(Spheres.none())
-        assert list(requests(planner, 60, 100)) == [60, 90]
-
     def test_goals_and_plans_are_refused_while_they_are_stale(self):
         refused = []
         planner = self.requiring(refuse=lambda what, error: refused.append((what, str(error))))

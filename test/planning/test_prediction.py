@@ -58,16 +58,6 @@ def test_time_is_cut_where_the_reference_changes():
     assert duration == pytest.approx({10.0: 0.04, 11.0: 0.03, 20.0: 0.1, 21.0: 0.04})
 
 
-def test_a_plan_that_is_no_longer_in_force_cuts_nothing():
-    """So that a bag needs only the plans in force to make a plan again."""
-    current = plan_at(50, 20.0)
-    whole, needed = (
-        [piece.duration for piece in pieces_between(plans, HOLD, 60 * MS, 140 * MS, 0.025)]
-        for plans in ([plan_at(0, 10.0), current], [current])
-    )
-    assert whole == needed
-
-
 @pytest.mark.parametrize(("milliseconds", "share"), [(101, 0.02), (125, 0.5), (150, 1.0), (180, 1.0)])
 def test_reference_moves_between_knots_as_the_controller_moves_it(milliseconds, share):
     turned = rotation_about([0.0, 0.6, 0.8], 0.7) @ HOLD.rotation

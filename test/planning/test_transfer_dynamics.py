@@ -1,14 +1,18 @@
 """Kinematics, mass matrix and drift of the transfer model against Pinocchio, which reads the same MJCF."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arm_simulation import ARM, WITH_TOOL, random_states
+from arm_simulation import ARM, HOME, WITH_TOOL, random_states
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.planning.transfer import model
 from contact_reach_ros.planning.transfer.dynamics import arm_dynamics, flange_drift, link_frames
 from contact_reach_ros.planning.transfer.lanes import cosine_and_sine, make_keep
 from contact_reach_ros.planning.transfer.model import arm_model
@@ -47,13 +51,13 @@ def computed(arm) -> tuple[np.ndarray, ...]:
 
 @pytest.fixture(scope="module")
 def expected(arm) -> list[dict[str, np.ndarray]]:
-    model = RobotModel(arm)
+    robot = RobotModel(arm)
     states = []
     for q, v in zip(*random_states(COUNT), strict=True):
-        model.update(q, v)
+        robot.update(q, v)
         names = ("position", "rotation", "jacobian", "mass_matrix", "drift")
-        states.append({name: getattr(model, name).copy() for name in names})
-        states[-1]["error"] = np.concatenate([model.position - POSITION, TURN])
+        states.append({name: getattr(robot, name).copy() for name in names})
+        states[-1]["error"] = np.concatenate([robot.position - POSITION, TURN])
     return states
 
 
@@ -78,3 +82,18 @@ def test_cosine_and_sine_with_their_derivatives_over_many_turns():
     exact = np.cos(angle.astype(float)), np.sin(angle.astype(float))
     np.testing.assert_allclose(found, exact, rtol=0, atol=2e-7)
     np.testing.assert_allclose(derivative, (-exact[1], exact[0]), rtol=0, atol=2e-7)
+
+
+def test_the_model_is_the_arm_of_the_mjcf(monkeypatch):
+    """A forearm that is 0.1 m longer, and a tip that is elsewhere, change the file alone."""
+    joints = list(ARM.joints)
+    joints[4] = dataclasses.replace(joints[4], offset=(0.0, 0.2845, 0.0))
+    other = dataclasses.replace(ARM, joints=tuple(joints), tip_offset=(0.02, 0.0, 0.1))
+    monkeypatch.setattr(model, "build_mjcf", lambda arm: build_mjcf(other))
+    arm_model.cache_clear()
+    try:
+        flange = link_frames(arm_model(ARM), HOME[:, None], make_keep(HOME[:, None])).flange[:, 0]
+    finally:
+        arm_model.cache_clear()
+    np.testing.assert_allclose(flange, RobotModel(other).tip_pose(HOME)[0], rtol=0, atol=1e-5)
+    assert np.linalg.norm(flange - RobotModel(ARM).tip_pose(HOME)[0]) > 0.05

@@ -2,8 +2,6 @@
 
 import copy
 import dataclasses
-import struct
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +11,7 @@ from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.messages.intake import BATCH, COLUMNS, IntakeLog, Taken
+from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.reexecution.inputs import COMMANDS, RecordedInputs
 from contact_reach_ros.reexecution.loops import reexecute
 from contact_reach_ros.reexecution.settings import ChangedSettings
@@ -100,28 +98,3 @@ def test_a_stop_may_be_the_last_thing_that_a_bag_has(
     intakes = {"controller": intake._replace(rows=intake.rows[: stop + 1])}
     found = reexecute("controller", changed(sample, intakes=intakes, safety_reasons=lambda _: recorded))
     assert found.compared > 3000 and (found.first_difference is not None) == differs
-
-
-def rows(batches: list[bytes]) -> Iterator[list[int]]:
-    for batch in batches:
-        (count,) = struct.unpack_from("<I", batch, 12)
-        assert len(batch) == 20 + 8 * count
-        yield list(struct.unpack_from(f"<{count}q", batch, 20))
-
-
-def test_intake_comes_in_numbered_batches_which_wait_for_a_good_moment() -> None:
-    batches: list[bytes] = []
-    log = IntakeLog(batches.append)
-    for number in range(BATCH):
-        log.add(Taken.JOINT_STATES, 1000 + number, 2000 + number)
-        log.outputs += 1
-    assert not batches
-    log.publish_full()
-    log.add(Taken.STOP, 0, 3000)
-    log.publish_full()
-    assert len(batches) == 1
-    log.flush()
-    log.flush()
-    first, second = rows(batches)
-    assert first[0] == 0 and first[2 :: len(COLUMNS)] == list(range(1000, 1000 + BATCH))
-    assert second == [BATCH, Taken.STOP, 0, 3000, BATCH]

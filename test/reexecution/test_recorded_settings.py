@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,7 +13,6 @@ from contact_reach_ros.arm.table import table_of
 from contact_reach_ros.arms import arm_settings
 from contact_reach_ros.bags.signals import recorded_arm
 from contact_reach_ros.errors import BagError, SettingsError
-from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.presets import SECTIONS as DECLARED
 from contact_reach_ros.reexecution.settings import SECTIONS, ChangedSettings, recorded_sections
 
@@ -56,12 +54,6 @@ class TestRecorded:
     def test_settings_that_are_constants_now_are_left_out(self) -> None:
         recorded = {"supervision.start_ramp": 0.5, "safety.mean_time": 300, "state_rate": 500.0}
         assert recorded_sections("controller", recorded, ARM, "old") == recorded_sections("controller", {}, ARM, "old")
-
-    def test_values_are_json_and_whatever_is_none_stays_text(self) -> None:
-        values = {"a": 0.5, "b": [1, 2], "c": True, "d": None}
-        entries = [SimpleNamespace(key=key, value=json.dumps(value)) for key, value in values.items()]
-        entries.append(SimpleNamespace(key="e", value="plain text"))
-        assert read_settings(SimpleNamespace(values=entries)) == {**values, "e": "plain text"}
 
 
 class TestChanges:

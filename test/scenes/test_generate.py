@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 
-import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -14,8 +13,6 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.scenes.placing import free_path, path_segments
-from contact_reach_ros.simulation.plant import Plant
-from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
 from contact_reach_ros.world.collision import overlap_depths
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import TargetSettings, read_scene
@@ -158,20 +155,3 @@ def test_the_free_path_is_straight_and_stays_away_from_limits_and_singularities(
             assert np.linalg.norm(aside) < 2e-3
             assert np.linalg.norm(pin.log3(model.rotation @ rotation.T)) < 0.02
             assert np.linalg.eigvalsh(mobility(model))[0] > 0.04
-
-
-def test_capsules_are_where_mujoco_has_them():
-    scene, path = scene_of("ball", 0), path_of("ball", 0)
-    (ball,), plant = scene.obstacles, Plant(scene, SensorSettings(), JointSettings())
-    model, data = plant.model, plant.data
-    ours = overlap_depths(ARM, *path_segments(ARM, path), ball.rest, ball.radius)[..., 0]
-    for q, depths in zip(path[::10], ours[::10], strict=True):
-        data.qpos[: ARM.n] = q
-        mujoco.mj_kinematics(model, data)
-        distances = [
-            mujoco.mj_geomDistance(
-                model, data, model.geom("ball_0_0").id, model.geom(f"capsule_{capsule.link}").id, 5.0, None
-            )
-            for capsule in ARM.capsules
-        ]
-        np.testing.assert_allclose(depths, np.negative(distances), rtol=0, atol=1e-9)

@@ -4,16 +4,16 @@ import functools
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME
+from arm_simulation import ARM
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.scenes.placing import free_path, on_hand, on_middle, path_segments, swivelled_segments
-from contact_reach_ros.world.collision import capsule_segments, overlap_depths
-from contact_reach_ros.world.obstacle import BallSettings, WallSettings
+from contact_reach_ros.world.collision import overlap_depths
+from contact_reach_ros.world.obstacle import WallSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import read_scene
-from contact_reach_ros.world.spheres import FIXED_STIFFNESS, obstacle_spheres, rest_positions
+from contact_reach_ros.world.spheres import rest_positions
 
 SEEDS = range(3)
 SETTINGS = WallSettings()
@@ -75,46 +75,3 @@ def test_walls_stand_in_the_way_between_start_and_target(seed):
     assert holding.max(axis=(1, 2)).min() > 0.0
     pushed = np.maximum(holding.max(axis=1), 0.0).sum(axis=1)
     assert pushed.min() < 0.4 * pushed[0]
-
-
-def test_swivelled_capsules_are_those_of_real_postures_with_the_same_flange_pose():
-    model, q = RobotModel(ARM), path_of(0)[-1].copy()
-    position, rotation = model.tip_pose(q)
-    here = capsule_segments(ARM, q)
-    for _ in range(100):
-        # Along the null space of the Jacobian, back onto the pose.
-        model.update(q, np.zeros(ARM.n))
-        motion = np.linalg.svd(model.jacobian)[2][-1]
-        error = np.concatenate([position - model.position, [0, 0, 0]])
-        error[3:] = 0.5 * sum(np.cross(model.rotation[:, k], rotation[:, k]) for k in range(3))
-        q = q + 0.006 * motion * np.sign(motion[2]) + np.linalg.pinv(model.jacobian) @ error
-    moved = capsule_segments(ARM, q)
-    assert np.linalg.norm(moved[0][2] - here[0][2]) > 0.05
-    angles = np.linspace(0, 2 * np.pi, 4000)
-    starts, ends = swivelled_segments(ARM, path_of(0)[-1], angles)
-    best = np.linalg.norm(starts[:, 2] - moved[0][2], axis=1).argmin()
-    np.testing.assert_allclose(starts[best], moved[0], rtol=0, atol=1e-3)
-    np.testing.assert_allclose(ends[best], moved[1], rtol=0, atol=1e-3)
-
-
-def test_balls_come_first_then_the_nodes_of_each_wall():
-    (ball,) = BallSettings().at(np.array([0.1, 0.2, 0.9]))
-    obstacles = (ball, *scene_of(0).obstacles)
-    scene = Scene("both", ARM, 0, HOME, np.zeros(3), obstacles)
-    rests = rest_positions(scene)
-    moved = rests + 0.01
-    spheres = obstacle_spheres(scene, moved)
-    np.testing.assert_array_equal(spheres.center, moved)
-    np.testing.assert_array_equal(spheres.rest, rests)
-    np.testing.assert_array_equal(spheres.rest[:1], ball.rest)
-    _, lower, upper = scene.obstacles
-    count = len(lower.rest)
-    np.testing.assert_array_equal(spheres.rest[1 : 1 + count], lower.rest)
-    assert spheres.radius[0] == 0.1
-    assert set(spheres.radius[1:]) == {SETTINGS.node_radius}
-    assert spheres.stiffness[0] == 100.0
-    np.testing.assert_array_equal(
-        spheres.stiffness[1:], np.where(np.concatenate([lower.fixed, upper.fixed]), FIXED_STIFFNESS, 0.0)
-    )
-    np.testing.assert_array_equal(spheres.edges[: len(lower.edges)], lower.edges + 1)
-    np.testing.assert_array_equal(spheres.edges[len(lower.edges) :], upper.edges + 1 + count)

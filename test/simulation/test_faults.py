@@ -78,10 +78,6 @@ class TestMessages:
         assert [tick for tick, commands in enumerate(arrived) if not commands] == list(range(100, 300))
         assert all(commands == [float(tick)] for tick, commands in enumerate(arrived) if commands)
 
-    def test_share(self):
-        lost = sum(not commands for commands in sent_commands(playing(Lost("commands", share=0.3))))
-        assert 250 < lost < 350
-
     def test_delay_keeps_the_order(self):
         arrived = sent_commands(playing(Late("commands", 0.01, at=0.1, duration=0.1)))
         assert arrived[105] == [] and arrived[110] == [100.0] and arrived[199] == [189.0]

@@ -89,16 +89,3 @@ def test_a_goal_with_the_hand_in_a_body_or_the_arms_base_is_refused_with_numbers
 @pytest.mark.parametrize(("position", "rotation"), ACCEPTED)
 def test_a_goal_beside_bodies_is_accepted(position, rotation):
     check_hand(ARM, Target(np.array(position), rotation), (TABLE,))
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Plane("floor", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), "floor: normal"),
-        (lambda: Block("table", (0.0, 0.0, 0.0), (1.0, 0.0, 1.0)), "table: size"),
-        (lambda: Block("table", np.zeros(3), np.ones(3), np.ones(4)), "table: orientation"),
-    ],
-)
-def test_what_is_no_body_is_refused(make, message):
-    with pytest.raises(InputError, match=message):
-        make()

@@ -52,6 +52,7 @@ REFUSED = [
     ("environment: {table: {sise: [1, 1, 1]}}", "environment: table: unknown key 'sise'"),
     ("environment: {floor: {normal: [0, 0, 0]}}", "environment: floor: normal"),
     ("environment: {table: {size: [1, 1, 1]}}", "environment: table: center"),
+    ("environment: {table: {center: [0, 0, 0], size: [1, 0, 1]}}", "environment: table: size"),
     ("environment: {table: {center: [a, 0, 0], size: [1, 1, 1]}}", "environment: table: expected three numbers"),
     ("environment: {floor: 0.1}", r"environment: floor = 0\.1"),
     ("", "holds NoneType"),
