@@ -41,7 +41,7 @@ def names(pairs, node):
 
 def interface(name, mode):
     """What a node, not yet configured, publishes, subscribes to, serves and calls."""
-    with ros("--ros-args", *(part for parameter in (*mode, "port:=0") for part in ("-p", parameter))):
+    with ros(*mode, "port:=0"):
         node = NODES[name]()
         kinds = ("publisher", "subscriber", "service", "client")
         found = [names(getattr(node, f"get_{kind}_names_and_types_by_node")(name, "/"), name) for kind in kinds]
