@@ -27,7 +27,6 @@ hypothesis.settings.load_profile("reproducible")
 
 
 def pytest_addoption(parser):
-    parser.addoption("--write-pictures", action="store_true", help="write the viewer's page to docs/viewer.png")
     parser.addoption("--quick", action="store_true", help="no slow tests, and a part of the fault matrix")
 
 
