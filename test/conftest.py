@@ -30,7 +30,7 @@ def pytest_addoption(parser):
     parser.addoption("--quick", action="store_true", help="no slow tests, and a part of the fault matrix")
 
 
-LONGEST = ("stacks", "planning", "examples", "net", "benchmarks", "nodes", "faults", "identification", "bags", "test")
+LONGEST = ("stacks", "examples", "planning", "net", "benchmarks", "nodes", "faults", "identification", "bags", "test")
 """Folders whose tests take minutes, in the order in which they are run."""
 
 
