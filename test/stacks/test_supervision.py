@@ -71,23 +71,11 @@ def test_a_killed_node_ends_the_stack_with_the_arm_at_rest(moving_demo, victim):
         assert speeds[-100:].max() < REST
 
 
-def up(folder, **nodes):
-    file = parameter_file(folder / "own.yaml", **nodes)
-    return [*module("bringup.bringup"), "--ros-args", "-p", f"parameters:={file}", "-p", "scene:=free"]
-
-
-def test_a_killed_supervisor_leaves_no_process_behind(tmp_path):
-    env = environment()
-    with running(up(tmp_path), env, tmp_path / "output.txt") as process:
-        nodes = {"driver", "controller", "observer", "planner"}
-        wait_for(lambda: nodes <= set(processes_of_domain(env["ROS_DOMAIN_ID"])), 60, "all nodes are started")
-        process.kill()
-    assert_nothing_left(env)
-
-
 def test_bringup_names_the_node_that_cannot_start(tmp_path):
     env, output = environment(), tmp_path / "output.txt"
-    with running(up(tmp_path, observer={"cpus": "none"}), env, output) as process:
+    file = parameter_file(tmp_path / "own.yaml", observer={"cpus": "none"})
+    command = [*module("bringup.bringup"), "--ros-args", "-p", f"parameters:={file}", "-p", "scene:=free"]
+    with running(command, env, output) as process:
         assert process.wait(300) == 1
     text = output.read_text()
     assert "observer ended (exit code 2)" in text and "parameter cpus: 'none'" in text
