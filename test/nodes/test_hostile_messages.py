@@ -11,7 +11,7 @@ import traceback
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, numbered
+from arm_simulation import ARM, HOME
 from builtin_interfaces.msg import Time
 from hostile import hostile
 from hypothesis import HealthCheck, example, given, settings
@@ -91,7 +91,7 @@ def recorded():
             break
     heard = {name: deserialize_message(data, types[name]) for name, data in heard.items()}
     obstacles = [*BallSettings().at(POSITION), *WallSettings(nodes=(2, 2, 2)).at(POSITION)[:1]]
-    scene = Scene("test", ARM, 0, HOME, np.zeros(3), numbered(obstacles))
+    scene = Scene("test", ARM, 0, HOME, np.zeros(3), tuple(obstacles))
     shown = obstacle_markers(scene, rest_positions(scene), heard["joint_states"].header.stamp.sec * NANOSECONDS)
     touched = {"level": "contact", "contact link": ARM.contact_links[-1], "contact position xyz m": "0 0 1"}
     safety = to_status("observer", "contact", {**touched, "contact force xyz N": "0 12 0"}, WARN)
