@@ -1,6 +1,7 @@
 """Settings that hold for every test; they are made before any module under test is imported."""
 
 import os
+import signal
 
 import hypothesis
 import pytest
@@ -26,11 +27,10 @@ hypothesis.settings.load_profile("reproducible")
 
 
 def pytest_addoption(parser):
-    parser.addoption("--write-pictures", action="store_true", help="write the viewer's page to docs/viewer.png")
     parser.addoption("--quick", action="store_true", help="no slow tests, and a part of the fault matrix")
 
 
-LONGEST = ("nodes", "planning", "benchmarks", "net", "faults", "reexecution", "examples", "test")
+LONGEST = ("stacks", "examples", "planning", "net", "benchmarks", "nodes", "faults", "identification", "bags", "test")
 """Folders whose tests take minutes, in the order in which they are run."""
 
 
@@ -38,7 +38,7 @@ LONGEST = ("nodes", "planning", "benchmarks", "net", "faults", "reexecution", "e
 def pytest_collection_modifyitems(config, items):
     """With several workers, the tests of a folder share one, and with it the fixtures and the compiled programs.
 
-    The longest come first, so that no worker is left with them at the end. `nodes` starts stacks, one at a time.
+    The longest come first, so that no worker is left with them at the end. `stacks` starts stacks, one at a time.
     """
     order = {folder: place for place, folder in enumerate(LONGEST)}
     items.sort(key=lambda item: order.get(item.path.parent.name, len(order)))
@@ -53,3 +53,12 @@ def pytest_collection_finish(session):
     """Notice where pytest-xdist does not see the groups, as with pytest 9.2: folders would be torn apart silently."""
     if getattr(session.config.option, "loadgroup", False):
         assert all("@" in item.nodeid for item in session.items), "pytest-xdist ignores groups with this pytest"
+
+
+@pytest.fixture
+def signal_handlers():
+    """Puts the handlers of SIGINT and SIGTERM back in the end."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)

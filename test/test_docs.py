@@ -171,8 +171,8 @@ NOT_RUN = {
     r"ros2 |source /opt/ros|source install|cd \$\(ros2|for policy|export ROS_SEC|ROS_SECURITY": "needs ROS 2 sourced",
     r"contact-reach bench|make bench|make -C|python -m benchmarks": "takes minutes to hours; see test/benchmarks",
     r"--no-driver": "needs a robot",
-    r"--namespace": "needs two stacks; test/nodes/test_namespaces.py has them",
-    r"contact-reach identify\b": "moves the arm; test/nodes has a stack for it",
+    r"--namespace": "needs two stacks; test/stacks/test_namespaces.py has them",
+    r"contact-reach identify\b": "moves the arm; test/stacks has a stack for it",
     r"--discovery subnet": "opens the nodes to the network",
     r"make (test|build|venv)": "installs: see the test of installation; make build: test_package",
 }

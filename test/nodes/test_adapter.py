@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import rclpy
 from arm_simulation import HOME, REST, TICK_NS
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
-from stack_helpers import hand_in, ros
+from stack_helpers import Beside, hand_in, ros
 from std_msgs.msg import Float64MultiArray
 
 from contact_reach_ros.arm.model import RobotModel
@@ -22,17 +21,15 @@ GRAVITY = RobotModel(ARM).gravity_at(HOME)
 TORQUE = GRAVITY + np.arange(7)
 
 
-class Bench:
+class Bench(Beside):
     """An adapter whose loop runs when told to, and what it sends."""
 
     def __init__(self):
-        self.node = AdapterNode()
+        super().__init__(AdapterNode())
         self.sent = []
         self.node._write = lambda data: self.sent.append(deserialize_message(data, Float64MultiArray).data.tolist())
         self._states = JointStateWriter(NAMES, ARM.base_frame, ["position", "velocity"])
         self._commands = CommandWriter(7)
-        self.executor = SingleThreadedExecutor()
-        self.executor.add_node(self.node)
 
     def state(self, tick=1):
         hand_in(self.node.inbox, topics.JOINT_STATES, self._states.write(tick * TICK_NS, HOME, REST))
@@ -40,17 +37,10 @@ class Bench:
     def command(self, torque=TORQUE):
         hand_in(self.node.inbox, topics.ADAPTER_COMMANDS, self._commands.write(torque))
 
-    def until(self, condition):
-        for _ in range(500):
-            if condition():
-                return
-            self.executor.spin_once(0.05)
-        pytest.fail("not within 500 turns")
-
 
 @pytest.fixture
 def bench(request):
-    with ros("--ros-args", *(part for argument in request.param for part in ("-p", argument))):
+    with ros(*request.param):
         yield Bench()
 
 
@@ -75,7 +65,7 @@ def test_commands_are_put_into_the_order_of_the_controller_that_takes_them(bench
     assert "joints of effort_controller is not known yet" in bench.node.diagnosis()[0]
     order = [2, 0, 1, 6, 5, 4, 3]
     keep = effort_controller(bench, [NAMES[index] for index in order])
-    bench.until(lambda: not bench.node.diagnosis()[0])
+    bench.until(lambda: not bench.node.diagnosis()[0], "the joints are known")
     bench.command()
     assert bench.sent == [TORQUE[order].tolist()]
     del keep
@@ -84,7 +74,7 @@ def test_commands_are_put_into_the_order_of_the_controller_that_takes_them(bench
 @asking
 def test_joints_that_do_not_match_are_named_beside_the_arms_and_nothing_passes(bench):
     keep = effort_controller(bench, ["elbow", *NAMES[1:]])
-    bench.until(lambda: "elbow" in bench.node.diagnosis()[0])
+    bench.until(lambda: "elbow" in bench.node.diagnosis()[0], "the joints are known")
     assert all(name in bench.node.diagnosis()[0] for name in NAMES)
     bench.state()
     bench.command()
@@ -107,15 +97,15 @@ def test_a_controller_that_counts_on_another_gravity_is_refused(bench):
 def test_a_second_commander_stops_it_until_it_has_gone(bench):
     bench.state()
     bench.command()
-    others = [rclpy.create_node(name, use_global_arguments=False) for name in ("controller", "intruder")]
-    rivals = [other.create_publisher(Float64MultiArray, topics.ADAPTER_COMMANDS.name, 1) for other in others]
-    bench.until(lambda: bench.node.rivals)
+    controller = rclpy.create_node("controller", use_global_arguments=False)
+    publishers = [bench.publish(topics.ADAPTER_COMMANDS, by) for by in (controller, bench.other)]
+    bench.until(lambda: bench.node.rivals, "both are found")
     bench.node.inbox.run_tasks()
     assert bench.node.diagnosis()[0].startswith("2 publishers on /adapter/commands (/controller, /intruder)")
     bench.command()
     assert len(bench.sent) == 1
-    others[1].destroy_publisher(rivals[1])
-    bench.until(lambda: not bench.node.rivals)
+    bench.other.destroy_publisher(publishers.pop())
+    bench.until(lambda: not bench.node.rivals, "the rival is gone")
     bench.state(2)
     bench.node.reset()
     bench.command()

@@ -1,8 +1,10 @@
-"""Executables explain themselves without starting anything, and refuse arguments that ROS would silently ignore."""
+"""Executables explain themselves, refuse what ROS would silently ignore, and name file and key of wrong parameters."""
 
+import subprocess
 import sys
 
 import pytest
+from stack_helpers import environment, module, parameter_file
 
 from contact_reach_ros import executables
 from contact_reach_ros.arms import load_arm
@@ -14,11 +16,11 @@ from contact_reach_ros.ros.parameters import check_arguments
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.settings import NODES, declared_parameters
 
+pytestmark = pytest.mark.usefixtures("signal_handlers")
+
 
 @pytest.mark.parametrize("node", NODES)
 def test_help_lists_all_parameters(node, monkeypatch, capsys):
-    # It would replace the signal handlers of the tests' own process.
-    monkeypatch.setattr(executables, "end_at_signals", lambda: None)
     monkeypatch.setattr(sys, "argv", [node, "--help"])
     getattr(executables, node)()
     page = capsys.readouterr().out
@@ -45,3 +47,43 @@ def test_what_launch_files_pass_is_accepted(tmp_path):
     assert check_arguments(arguments, "driver", SECTIONS["driver"]).name == "iiwa14"
     with pytest.raises(SettingsError, match="unknown arguments"):
         check_arguments([*arguments, "left"], "driver", SECTIONS["driver"])
+
+
+def check(node, *arguments):
+    check_arguments([node, "--ros-args", *arguments], node, SECTIONS[node])
+
+
+@pytest.mark.parametrize(
+    ("node", "content", "key"),
+    [
+        *((name, {"no_such_thing": 1}, "no_such_thing") for name in SECTIONS if name != "bringup"),
+        ("controller", {"impedance": {"task_stiffness": -1.0}}, "impedance.task_stiffness"),
+        ("observer", {"momentum": {"gain": "high"}}, "momentum.gain"),
+        ("driver", {"seed": 1.5}, "seed"),
+        ("adapter", {"kind": "hydraulic"}, "kind"),
+    ],
+)
+def test_a_wrong_parameter_is_named_with_its_file_and_with_what_is_accepted(node, content, key, tmp_path):
+    file = parameter_file(tmp_path / "wrong.yaml", **{node: content})
+    with pytest.raises(SettingsError, match=r"expected|known keys") as refused:
+        check(node, "--params-file", str(file))
+    assert str(file) in str(refused.value) and key in str(refused.value)
+    with pytest.raises(SettingsError, match="no_such_thing"):
+        check(node, "-p", "no_such_thing:=5.0")
+
+
+@pytest.mark.parametrize(
+    ("program", "argument", "words"),
+    [
+        ("nodes.driver", "scene:=bad.yaml", "40.0 mm inside the ball"),
+        # A name that no file can have.
+        ("nodes.recorder", f"bag:={'a' * 300}", "aaaaaaaaaaaaaaaa"),
+        ("bringup.bringup", f"parameters:={'a' * 300}", "aaaaaaaaaaaaaaaa"),
+    ],
+)
+def test_a_process_ends_with_the_message(program, argument, words, tmp_path):
+    scene = tmp_path / "bad.yaml"
+    scene.write_text("base: ball\ntarget: {position: [0.5, 0.2, 0.3]}\nball: {center: [0.5, 0.26, 0.3]}\n")
+    command = [*module(program), "--ros-args", "-p", argument]
+    result = subprocess.run(command, env=environment(), cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert result.returncode not in (0, -9) and words in result.stderr and "Traceback" not in result.stderr

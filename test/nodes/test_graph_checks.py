@@ -69,6 +69,12 @@ def test_nodes_that_are_missing_double_or_inactive_are_named_with_what_to_do(cha
     assert finding.verdict is Verdict.FAIL and found in finding.found and fix in finding.fix
 
 
+def test_where_nothing_runs_it_says_what_to_start():
+    finding = stack.nodes(Graph(nodes=["/my_arm"]))
+    assert finding.verdict is Verdict.WARN and "no stack is running" in finding.found
+    assert "contact-reach up" in finding.fix
+
+
 def test_a_latched_stop_fails_with_the_call_that_releases_it():
     unwatched = stack.safety_state(changed(requires_observer=False))
     assert unwatched.verdict is Verdict.WARN and "may move unwatched" in unwatched.found

@@ -4,17 +4,15 @@ The nodes are real ones, in this process; their loops take a turn when the test 
 raises is lost in a thread.
 """
 
+import copy
+import functools
 import time
 import traceback
-from functools import partial
 
 import numpy as np
 import pytest
-import rclpy
-from arm_simulation import HOME, REST
+from arm_simulation import ARM, HOME
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Point
 from hostile import hostile
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
@@ -23,21 +21,16 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from plans import make_plan
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.serialization import serialize_message
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
-from stack_helpers import ros
-from std_msgs.msg import Float64MultiArray, Header
+from rclpy.serialization import deserialize_message, serialize_message
+from stack_helpers import SAMPLE, UNWATCHED, Beside, ros
 from std_srvs.srv import Trigger
-from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arms import iiwa14
+from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import to_goal_pose, to_status, to_time
-from contact_reach_ros.messages.plan_messages import to_markers, to_references
-from contact_reach_ros.messages.values import goal_values
+from contact_reach_ros.messages.conversions import to_status
+from contact_reach_ros.messages.obstacle_markers import obstacle_markers
+from contact_reach_ros.messages.safety_state import WARN
 from contact_reach_ros.nodes import planner as planner_module
 from contact_reach_ros.nodes.adapter import AdapterNode
 from contact_reach_ros.nodes.controller import ControllerNode
@@ -47,16 +40,16 @@ from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.nodes.recorder import RecorderNode
 from contact_reach_ros.nodes.viewer import ViewerNode
 from contact_reach_ros.ros import inbox as inbox_module
-from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.interfaces import HEARD_BY_VIEWER
+from contact_reach_ros.timing import NANOSECONDS
+from contact_reach_ros.world.obstacle import BallSettings, WallSettings
+from contact_reach_ros.world.scene import Scene
+from contact_reach_ros.world.spheres import rest_positions
 
-ARM = iiwa14.ARM
-START_NS = 1_000_000_000_000
-MODEL = RobotModel(ARM)
-POSITION, ROTATION = MODEL.tip_pose(HOME)
+POSITION, ROTATION = RobotModel(ARM).tip_pose(HOME)
 KNOTS = 5
 
-EXAMPLES = 25
+EXAMPLES = 16
 """Of messages of a topic, and of requests."""
 
 
@@ -76,122 +69,74 @@ class StandingStill:
         pass
 
     def plan(self, request):
-        return still(request.effect_ns)
+        return make_plan(
+            np.tile(POSITION, (KNOTS, 1)),
+            np.tile(ROTATION, (KNOTS, 1, 1)),
+            np.tile(HOME, (KNOTS, 1)),
+            effect_ns=request.effect_ns,
+            predicted_q=np.tile(HOME, (KNOTS + 1, 1)),
+            predicted_positions=np.tile(POSITION, (KNOTS + 1, 1)),
+            predicted_contact_forces=np.full((KNOTS, len(ARM.contact_links)), 3.0),
+        )
 
 
-def still(effect_ns):
-    return make_plan(
-        np.tile(POSITION, (KNOTS, 1)),
-        np.tile(ROTATION, (KNOTS, 1, 1)),
-        np.tile(HOME, (KNOTS, 1)),
-        effect_ns=effect_ns,
-        predicted_q=np.tile(HOME, (KNOTS + 1, 1)),
-        predicted_positions=np.tile(POSITION, (KNOTS + 1, 1)),
-        predicted_contact_forces=np.full((KNOTS, len(ARM.contact_links)), 3.0),
-    )
+@functools.cache
+def recorded():
+    """What had last come on each topic of a recorded stack, by name, when the arm was on its way."""
+    types, heard, plans = {topic.name: topic.type for topic in topics.ALL}, {}, 0
+    for raw in BagReader(SAMPLE).raw_messages():
+        heard[raw.topic.removeprefix("/")] = raw.data
+        plans += raw.topic == "/reference/posture"
+        if plans == 10:
+            break
+    heard = {name: deserialize_message(data, types[name]) for name, data in heard.items()}
+    obstacles = [*BallSettings().at(POSITION), *WallSettings(nodes=(2, 2, 2)).at(POSITION)[:1]]
+    scene = Scene("test", ARM, 0, HOME, np.zeros(3), tuple(obstacles))
+    shown = obstacle_markers(scene, rest_positions(scene), heard["joint_states"].header.stamp.sec * NANOSECONDS)
+    touched = {"level": "contact", "contact link": ARM.contact_links[-1], "contact position xyz m": "0 0 1"}
+    safety = to_status("observer", "contact", {**touched, "contact force xyz N": "0 12 0"}, WARN)
+    made = {topics.OBSTACLES: shown, topics.SAFETY_STATE: safety, topics.ADAPTER_COMMANDS: heard[topics.COMMANDS.name]}
+    return {**heard, **{topic.name: message for topic, message in made.items()}}
 
-
-def joint_state():
-    efforts = MODEL.gravity_at(HOME).tolist()
-    message = JointState(name=list(ARM.joint_names), position=HOME.tolist(), velocity=REST.tolist(), effort=efforts)
-    message.header.frame_id, message.header.stamp = ARM.base_frame, to_time(START_NS)
-    return message
-
-
-def obstacles():
-    """Two spheres that an edge joins, one of which is fixed, and a ball."""
-
-    def marker(namespace, number, kind, *places):
-        made = Marker(ns=namespace, id=number, type=kind, points=[Point(x=0.5, y=y) for y in places])
-        made.header.frame_id, made.scale.x, made.pose.orientation.w = ARM.base_frame, 0.05, float(not places)
-        return made
-
-    spheres = [marker(name, 3, Marker.SPHERE_LIST, y) for name, y in (("obstacles", 0.0), ("fixed", 0.1))]
-    edges, ball = marker("edges", 3, Marker.LINE_LIST, 0.0, 0.1), marker("ball", 4, Marker.SPHERE)
-    return MarkerArray(markers=[*spheres, edges, ball])
-
-
-def safety_state():
-    contact = {
-        "contact link": ARM.contact_links[-1],
-        "contact force xyz N": "0 12 0",
-        "contact position xyz m": "0 0 1",
-    }
-    return to_status("observer", "contact", {"level": "contact", **contact}, level=1)
-
-
-def plan_markers():
-    """A path, and of the other kinds one each."""
-    return MarkerArray(
-        markers=list({marker.ns: marker for marker in to_markers(still(START_NS), ARM).markers}.values())
-    )
-
-
-VALID = {
-    topics.JOINT_STATES: joint_state,
-    topics.COMMANDS: lambda: Float64MultiArray(data=[1.0] * 7),
-    topics.ADAPTER_COMMANDS: lambda: Float64MultiArray(data=[1.0] * 7),
-    topics.REFERENCE_POSE: lambda: to_references(still(START_NS + 10_000_000), ARM)[0],
-    topics.REFERENCE_POSTURE: lambda: to_references(still(START_NS + 10_000_000), ARM)[1],
-    topics.SAFETY_STATE: safety_state,
-    topics.LOCKSTEP_HORIZON: lambda: Header(frame_id="observer"),
-    topics.GOAL_POSE: lambda: to_goal_pose([0.5, 0.0, 0.4], ARM.base_frame, Time()),
-    topics.OBSTACLES: obstacles,
-    topics.EXTERNAL_TORQUE: joint_state,
-    topics.PLAN_MARKERS: plan_markers,
-    topics.SIM_CONTACTS: lambda: JointState(name=[*ARM.contact_links, "sum"], effort=[1.0] * 7),
-    topics.DIAGNOSTICS: lambda: DiagnosticArray(status=[to_status("driver", "ok", {"round trip p50 us": "300"})]),
-    topics.PLAN_STATISTICS: lambda: DiagnosticArray(status=[to_status("planner", "max_steps", goal_values(HOME[:3]))]),
-    topics.CLOCK: Clock,
-    topics.SETTINGS: lambda: to_status("controller", "", {"supervision.gravity_compensation": "false"}),
-}
 
 NO_MESSAGE = b"\0\1\0\0\xff\xff\xff\x7f"
 _WAIT_NS = 10_000_000
 
+SIMULATED = "use_sim_time:=true"
 CONTROLLER_HEARS = (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON)
-ATTACKS = {
-    ControllerNode: (topics.JOINT_STATES, *CONTROLLER_HEARS, topics.CLOCK),
-    DriverNode: (topics.COMMANDS, topics.LOCKSTEP_HORIZON),
-    ObserverNode: (topics.JOINT_STATES, topics.CLOCK),
-    PlannerNode: (topics.JOINT_STATES, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE, topics.CLOCK),
-    ViewerNode: HEARD_BY_VIEWER,
-    AdapterNode: (topics.JOINT_STATES, topics.ADAPTER_COMMANDS, topics.SETTINGS),
-    RecorderNode: (topics.JOINT_STATES, topics.REFERENCE_POSTURE, topics.OBSTACLES),
+NODES = {
+    ControllerNode: ([SIMULATED, UNWATCHED], (topics.JOINT_STATES, *CONTROLLER_HEARS, topics.CLOCK)),
+    DriverNode: (["lockstep:=true", "scene:=free"], (topics.COMMANDS, topics.LOCKSTEP_HORIZON)),
+    ObserverNode: ([SIMULATED], (topics.JOINT_STATES, topics.CLOCK)),
+    PlannerNode: (
+        [SIMULATED],
+        (topics.JOINT_STATES, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE, topics.CLOCK),
+    ),
+    ViewerNode: (["port:=0"], HEARD_BY_VIEWER),
+    AdapterNode: (["kind:=effort"], (topics.JOINT_STATES, topics.ADAPTER_COMMANDS, topics.SETTINGS)),
+    RecorderNode: ([], (topics.JOINT_STATES, topics.REFERENCE_POSTURE, topics.OBSTACLES)),
 }
-PARAMETERS = {
-    ControllerNode: ("use_sim_time:=true", "supervision.require_observer:=false"),
-    DriverNode: ("lockstep:=true", "scene:=free"),
-    ObserverNode: ("use_sim_time:=true",),
-    PlannerNode: ("use_sim_time:=true",),
-    ViewerNode: ("port:=0",),
-    AdapterNode: ("kind:=effort",),
-    RecorderNode: (),
-}
+"""Parameters of each node, and the topics that are attacked."""
 
 
 def late_and_early(message):
     """The same message with stamps at the ends of what its type can hold."""
+    message = copy.deepcopy(message)
     if hasattr(message, "header"):
         for sec, nanosec in ((2**31 - 1, 0), (2**31 - 1, 999_999_999), (2**31 - 1, 2**32 - 1), (-(2**31), 0)):
             message.header.stamp = Time(sec=sec, nanosec=nanosec)
             yield serialize_message(message)
 
 
-class Bench:
+class Bench(Beside):
     """A node whose loop and services run when the test lets them, and an attacker beside it."""
 
     def __init__(self, node_class):
-        self.node = node_class()
-        self.node.boundary.protect(self.node)
+        super().__init__(node_class())
         self.faults = []
         self.node.boundary._on_fault = lambda _, error: self.faults.append(error)
-        self.attacker = rclpy.create_node("attacker", use_global_arguments=False)
         self._publishers = {}
         self._clients = {}
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self.node)
-        self._executor.add_node(self.attacker)
         self.node.trigger_configure()
         self.node.trigger_activate()
         assert self.node.running
@@ -199,8 +144,7 @@ class Bench:
     def send(self, topic, data):
         """Publish, and let the node take what has come."""
         if topic.name not in self._publishers:
-            publisher = self.attacker.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
-            self._publishers[topic.name] = publisher
+            publisher = self._publishers[topic.name] = self.publish(topic)
             while not publisher.get_subscription_count():
                 self.turn()
         self._publishers[topic.name].publish(data)
@@ -231,12 +175,12 @@ class Bench:
         if isinstance(node, DriverNode):
             node._tick(node.robot.now_ns)
             node._publish(node.robot.read(), node.robot.shows_obstacles())
-        self._executor.spin_once(0.001)
+        self.executor.spin_once(0.001)
 
     def call(self, kind, service, request):
         """The answer of one of the node's services."""
         if service not in self._clients:
-            self._clients[service] = self.attacker.create_client(kind, f"{self.node.get_name()}/{service}")
+            self._clients[service] = self.other.create_client(kind, f"{self.node.get_name()}/{service}")
             assert self._clients[service].wait_for_service(10.0)
         answer = self._clients[service].call_async(request)
         deadline = time.monotonic() + 10.0
@@ -255,22 +199,22 @@ class Bench:
         assert self.state() == State.PRIMARY_STATE_ACTIVE
 
 
-@pytest.fixture(params=ATTACKS, ids=lambda node_class: node_class.NAME)
+@pytest.fixture(params=NODES, ids=lambda node_class: node_class.NAME)
 def bench(request, tmp_path, monkeypatch):
     """Each node, with something to lose."""
     node_class = request.param
     monkeypatch.setattr(planner_module, "RecedingHorizonPlanner", StandingStill)
     # Nobody promises anything here.
     monkeypatch.setattr(inbox_module, "_LONGEST_HOLD_S", 0.0)
-    parameters = (*PARAMETERS[node_class], *([f"bag:={tmp_path / 'bag'}"] if node_class is RecorderNode else []))
-    with ros("--ros-args", *(part for parameter in parameters for part in ("-p", parameter))):
+    parameters, attacked = NODES[node_class]
+    with ros(*parameters, *[f"bag:={tmp_path / 'bag'}"] * (node_class is RecorderNode)):
         made = Bench(node_class)
         if node_class is ViewerNode:
             # Without a browser the page draws nothing.
             monkeypatch.setattr(made.node._server, "get_clients", lambda: {0: None})
         for heard in (topics.JOINT_STATES, topics.GOAL_POSE):
-            if heard in ATTACKS[node_class]:
-                made.send(heard, VALID[heard]())
+            if heard in attacked:
+                made.send(heard, recorded()[heard.name])
         yield made
         made.node.close()
 
@@ -280,9 +224,9 @@ def test_absurd_messages_are_refused(bench):
     if isinstance(node, ControllerNode):
         node._write_commands = commands.append
         node.look_around()
-    for topic in ATTACKS[type(node)]:
-        before, valid = sum(node.refused.values()), VALID[topic]()
-        bench.attack(hostile(valid), partial(bench.send, topic), [NO_MESSAGE, *late_and_early(valid)])
+    for topic in NODES[type(node)][1]:
+        before, valid = sum(node.refused.values()), recorded()[topic.name]
+        bench.attack(hostile(valid), functools.partial(bench.send, topic), [NO_MESSAGE, *late_and_early(valid)])
         bench.check()
         if not isinstance(node, RecorderNode) and topic is not topics.CLOCK:
             assert sum(node.refused.values()) > before, topic.name

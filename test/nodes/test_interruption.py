@@ -14,15 +14,7 @@ from stack_helpers import environment, running, wait_for
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 
 
-@pytest.fixture
-def handlers():
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
-@pytest.mark.usefixtures("handlers")
+@pytest.mark.usefixtures("signal_handlers")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_is_raised_where_it_is_asked_for_and_ignored_while_all_is_ended(number):
     stack = StackProcesses(Mock(), [], Path("none.yaml"))

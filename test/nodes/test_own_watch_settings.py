@@ -28,7 +28,7 @@ def test_a_difference_keeps_the_arm_from_being_started_and_is_named(monkeypatch,
     file = ("--params-file", str(parameter_file(tmp_path / "own.yaml", observer=own)))
     arguments = (*(file if has_file else ()), *others)
     monkeypatch.setattr(ControllerNode, "ARGUMENTS", ["controller", *(("--ros-args", *arguments) if arguments else ())])
-    with ros("--ros-args", *file):
+    with ros(more=file):
         controller, observer = ControllerNode(), ObserverNode()
         values = {key: json.dumps(value) for key, value in observer.reported_settings().items()}
         controller._on_settings(to_status("observer", "", values))

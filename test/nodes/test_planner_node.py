@@ -97,7 +97,7 @@ def test_obstacles_that_go_stale_end_the_plans_and_new_ones_resume_them_for_the_
 
 
 def test_a_driver_publishes_a_scene_with_nothing_but_a_floor_again_and_again(monkeypatch):
-    with ros("--ros-args", "-p", "scene:=free"):
+    with ros("scene:=free"):
         driver, shown = DriverNode(), []
         monkeypatch.setattr(driver._obstacles, "publish", shown.append)
         for _ in range(100):

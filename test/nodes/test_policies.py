@@ -28,25 +28,23 @@ MODES = (
 FOLDER = share_directory() / "config" / "security"
 
 
-def names(pairs, node):
-    """Names as policies have them."""
-    kept = {"/parameter_events", "/rosout"}
-    own, shared = f"/{node}/", {f"/{topic.name}" for topic in topics.ALL}
-    found = {name for name, _ in pairs}
-    private = {name for name in found - shared if name.startswith(own)}
-    return {f"~/{name.removeprefix(own)}" for name in private} | {
-        name if name in kept else name[1:] for name in found - private
-    }
+def in_policies(name, node):
+    """A name of the graph as policies have it."""
+    if name in ("/parameter_events", "/rosout"):
+        return name
+    own = f"/{node}/"
+    is_private = name.startswith(own) and name[1:] not in {topic.name for topic in topics.ALL}
+    return f"~/{name.removeprefix(own)}" if is_private else name[1:]
 
 
 def interface(name, mode):
     """What a node, not yet configured, publishes, subscribes to, serves and calls."""
-    with ros("--ros-args", *(part for parameter in (*mode, "port:=0") for part in ("-p", parameter))):
+    with ros(*mode, "port:=0"):
         node = NODES[name]()
         kinds = ("publisher", "subscriber", "service", "client")
-        found = [names(getattr(node, f"get_{kind}_names_and_types_by_node")(name, "/"), name) for kind in kinds]
+        found = [getattr(node, f"get_{kind}_names_and_types_by_node")(name, "/") for kind in kinds]
         node.destroy_node()
-        return found
+        return [{in_policies(each, name) for each, _ in pairs} for pairs in found]
 
 
 @pytest.mark.parametrize("name", NODES)

@@ -76,10 +76,10 @@ def test_bag_is_published_as_it_was_where_no_live_arm_hears_it(bag):
     assert descriptions[-1].data == "<robot/>"
 
 
-def test_a_replay_ends_with_the_bag(bag):
-    command = [*module("nodes.replay"), str(bag), "--topics", "joint_states", "--start", "0.2"]
-    ended = subprocess.run(command, env=environment(), capture_output=True, text=True)
-    assert ended.returncode == 0 and f"{TICKS // 2} messages of 1 topics" in ended.stdout, ended
+@pytest.mark.usefixtures("signal_handlers")
+def test_a_replay_ends_with_the_bag(bag, capsys):
+    main([str(bag), "--topics", "joint_states", "--start", "0.2"])
+    assert f"{TICKS // 2} messages of 1 topics" in capsys.readouterr().out
 
 
 def test_quality_of_service_is_the_best_that_was_offered():

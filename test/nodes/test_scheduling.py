@@ -7,7 +7,7 @@ import pytest
 from stack_helpers import environment, module, ready, running, wait_for
 
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.ros.scheduling import Role, choose_cpus, give_way, use_cpus
+from contact_reach_ros.ros.scheduling import Role, choose_cpus, give_way
 
 
 def test_on_few_cpus_the_loop_has_one_for_itself():
@@ -49,16 +49,6 @@ def test_what_gives_way_comes_behind_every_loop(priority, left):
         pytest.skip("no real-time priority permitted")
     assert found == [(os.SCHED_FIFO, left)]
     assert left < min(Role.DRIVER.value, Role.CONTROLLER.value, Role.OBSERVER.value)
-
-
-def test_threads_that_end_meanwhile_are_left_out(monkeypatch):
-    ended = threading.Thread(target=int)
-    ended.start()
-    ended.join()
-    monkeypatch.setattr(
-        "contact_reach_ros.ros.scheduling._threads", lambda: [ended.native_id, threading.get_native_id()]
-    )
-    use_cpus(os.sched_getaffinity(0))
 
 
 def test_in_real_time_a_loop_has_the_priority_that_the_system_permits(tmp_path):

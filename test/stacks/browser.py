@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import itertools
 import json
 import os
 import shutil
-import subprocess
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -15,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from stack_helpers import running, wait_for
 from websockets.sync.client import connect
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -50,7 +49,6 @@ class Page:
         self._numbers = itertools.count(1)
         self.errors: list[str] = []
         """What the page's scripts threw."""
-        self.address = ""
         self.call("Page.enable")
         self.call("Runtime.enable")
 
@@ -67,12 +65,9 @@ class Page:
                 assert "error" not in answer, f"{method}: {answer['error']}"
                 return answer["result"]
 
-    def open(self, url: str, width: int = 1280, height: int = 800) -> None:
-        """Load a page in a window of some size."""
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-        self.call("Emulation.setDeviceMetricsOverride", **size)
+    def open(self, url: str) -> None:
+        """Load a page."""
         self.call("Page.navigate", url=url)
-        self.address = url
 
     def run(self, script: str) -> Any:
         """Value of an expression."""
@@ -143,10 +138,6 @@ class Page:
         """Where the first input next to a label is."""
         return tuple(self.wait_for(_FIND_INPUT.format(json.dumps(label), _MIDDLE), f"input '{label}'"))
 
-    def screenshot(self, file: Path) -> None:
-        """Write what the window shows as PNG."""
-        file.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
-
     def close(self) -> None:
         """Let go of the tab."""
         self._socket.close()
@@ -164,34 +155,24 @@ def chromium(folder: Path) -> Iterator[Page]:
     home = folder / "chromium"
     home.mkdir()
     flags = "--headless=new --remote-debugging-port=0 --use-angle=swiftshader --enable-unsafe-swiftshader "
-    flags += "--no-first-run --disable-extensions --disable-background-networking --disable-renderer-backgrounding "
-    flags += "--disable-backgrounding-occluded-windows --disable-background-timer-throttling "
+    flags += "--window-size=800,743 --no-first-run --disable-extensions --disable-background-networking "
+    flags += "--disable-renderer-backgrounding --disable-backgrounding-occluded-windows "
+    flags += "--disable-background-timer-throttling "
     flags += "--no-sandbox" * (os.geteuid() == 0)
     command = [path, *flags.split(), f"--user-data-dir={home}", "about:blank"]
-    with (folder / "chromium.log").open("wb") as log:
-        process = subprocess.Popen(command, stdout=log, stderr=log, env={**os.environ, "HOME": str(home)})
-    try:
-        page = Page(_address(home / "DevToolsActivePort", process))
+    log, port_file = folder / "chromium.log", home / "DevToolsActivePort"
+    with running(command, {**os.environ, "HOME": str(home)}, log) as process:
+        wait_for(lambda: process.poll() is not None or "\n" in _text(port_file), _START_S, "chromium is up")
+        assert process.poll() is None, log.read_text()
+        port = _text(port_file).split()[0]
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list", timeout=10) as response:
+            tabs = json.load(response)
+        page = Page(next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page"))
         try:
             yield page
         finally:
             page.close()
-    finally:
-        process.terminate()
-        try:
-            process.wait(10)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
-def _address(port_file: Path, process: subprocess.Popen) -> str:
-    deadline = time.monotonic() + _START_S
-    while not (port_file.exists() and port_file.read_text().count("\n") >= 1):
-        assert process.poll() is None, f"chromium ended with {process.returncode}; see chromium.log"
-        assert time.monotonic() < deadline, "chromium did not start"
-        time.sleep(0.1)
-    port = port_file.read_text().split()[0]
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list", timeout=10) as response:
-        tabs = json.load(response)
-    return next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
+def _text(file: Path) -> str:
+    return file.read_text() if file.exists() else ""

@@ -45,15 +45,6 @@ def moved(output: Path) -> bool:
     return bool(distances) and distances[-1] < distances[0] - 10.0
 
 
-def bag_in(folder: Path) -> Path:
-    (bag,) = (path for path in folder.glob("demo_*") if path.is_dir())
-    return bag
-
-
-def joint_speeds(bag: Path) -> np.ndarray:
-    return np.abs(read_signals(BagReader(bag), load_arm()).velocity.values).max(axis=1)
-
-
 def assert_nothing_left(env):
     wait_for(lambda: not processes_of_domain(env["ROS_DOMAIN_ID"]), 20, "all processes of the stack have ended")
 
@@ -72,42 +63,19 @@ def test_a_killed_node_ends_the_stack_with_the_arm_at_rest(moving_demo, victim):
     text = output.read_text()
     assert text.count(f"{victim} ended (killed by SIGKILL)") == 1 and "Traceback" not in text
     assert_nothing_left(env)
-    speeds = joint_speeds(bag_in(folder))
+    (bag,) = (path for path in folder.glob("demo_*") if path.is_dir())
+    speeds = np.abs(read_signals(BagReader(bag), load_arm()).velocity.values).max(axis=1)
     assert speeds.max() > REST, "the arm never moved: the test shows nothing"
     if victim not in ("driver", "recorder"):
         # The last tenth of a second of the bag; without a driver there is no arm, without a recorder no bag.
         assert speeds[-100:].max() < REST
 
 
-def test_ctrl_c_ends_everything_and_the_bag_is_complete(moving_demo):
-    env, process, output, folder = moving_demo
-    process.send_signal(signal.SIGINT)
-    assert process.wait(120) == 130
-    assert_nothing_left(env)
-    bag = bag_in(folder)
-    assert joint_speeds(bag)[-100:].max() < REST
-    assert (bag / "metadata.yaml").is_file() and BagReader(bag).notes == ()
-    (log,) = folder.glob("demo_*.log")
-    assert "Traceback" not in output.read_text() + log.read_text()
-
-
-def up(folder, **nodes):
-    file = parameter_file(folder / "own.yaml", **nodes)
-    return [*module("bringup.bringup"), "--ros-args", "-p", f"parameters:={file}", "-p", "scene:=free"]
-
-
-def test_a_killed_supervisor_leaves_no_process_behind(tmp_path):
-    env = environment()
-    with running(up(tmp_path), env, tmp_path / "output.txt") as process:
-        nodes = {"driver", "controller", "observer", "planner"}
-        wait_for(lambda: nodes <= set(processes_of_domain(env["ROS_DOMAIN_ID"])), 60, "all nodes are started")
-        process.kill()
-    assert_nothing_left(env)
-
-
 def test_bringup_names_the_node_that_cannot_start(tmp_path):
     env, output = environment(), tmp_path / "output.txt"
-    with running(up(tmp_path, observer={"cpus": "none"}), env, output) as process:
+    file = parameter_file(tmp_path / "own.yaml", observer={"cpus": "none"})
+    command = [*module("bringup.bringup"), "--ros-args", "-p", f"parameters:={file}", "-p", "scene:=free"]
+    with running(command, env, output) as process:
         assert process.wait(300) == 1
     text = output.read_text()
     assert "observer ended (exit code 2)" in text and "parameter cpus: 'none'" in text

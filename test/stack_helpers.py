@@ -2,28 +2,43 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pytest
 import rclpy
 import yaml
+from arm_simulation import ARM, HOME, REST, TICK_NS
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
 from ros_domains import fresh_domain
 
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.serialized import JointStateWriter
 from contact_reach_ros.messages.topics import Topic
-from contact_reach_ros.ros.inbox import Inbox
+from contact_reach_ros.ros.inbox import Inbox, qos_profile
+from contact_reach_ros.ros.managed_node import ManagedNode
 
+SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
+"""The bag that the package ships: the arm touches a ball."""
 SMALL_PLANNER = {"planning": {"population": 32, "line_search_points": 16, "max_steps": 3}}
 """Plans in a fraction of the time; the programs are those of `planning_helpers.SMALL`, which are compiled only once."""
-UNWATCHED = ["--ros-args", "-p", "supervision.require_observer:=false"]
-"""Arguments of a controller that moves an arm without an observer."""
+PATIENT_PLANNER = {**SMALL_PLANNER, "latency": 0.25}
+"""For real time: with less than a quarter of a second for each plan a busy machine makes every plan too late to take
+effect, until the controller stops the arm before it has moved."""
+UNWATCHED = "supervision.require_observer:=false"
+"""Parameter of a controller that moves an arm without an observer."""
 
 
 def environment() -> dict[str, str]:
@@ -45,9 +60,10 @@ def module(name: str) -> list[str]:
 
 
 @contextmanager
-def ros(*arguments: str, domain: str | None = None) -> Iterator[None]:
-    """Start rclpy in this process with ROS arguments, in a domain that no other test uses if none is given."""
-    rclpy.init(args=list(arguments), domain_id=int(domain or environment()["ROS_DOMAIN_ID"]))
+def ros(*parameters: str, more: Sequence[str] = (), domain: str | None = None) -> Iterator[None]:
+    """Start rclpy in this process with parameters (name:=value) and more ROS arguments, in a domain of its own."""
+    arguments = [part for parameter in parameters for part in ("-p", parameter)]
+    rclpy.init(args=["--ros-args", *arguments, *more], domain_id=int(domain or environment()["ROS_DOMAIN_ID"]))
     try:
         yield
     finally:
@@ -59,6 +75,47 @@ def hand_in(inbox: Inbox, topic: Topic, data: bytes) -> None:
     for listened in (*inbox._subscriptions, *inbox._unhurried):
         if listened.topic.name == topic.name:
             inbox._handle(listened, data, time.time_ns())
+
+
+class AtRest:
+    """Gives a node the joint states of an arm at rest at home, one a tick."""
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._ticks = node, itertools.count(1)
+        self._writer = JointStateWriter(ARM.joint_names, ARM.base_frame, ["position", "velocity", "effort"])
+
+    def give(self, count: int = 1, torque: np.ndarray = REST) -> None:
+        """`torque`: measured at the joints, (n,), N m."""
+        for tick in itertools.islice(self._ticks, count):
+            # As encoders tell it; without any tremor they would be stuck.
+            data = self._writer.write(tick * TICK_NS, HOME + 1e-5 * (tick % 2), REST, torque)
+            hand_in(self._node.inbox, topics.JOINT_STATES, data)
+            self._node.inbox.run_tasks()
+
+
+class Beside:
+    """A node whose timers run when the test lets them, and another node."""
+
+    def __init__(self, node: ManagedNode) -> None:
+        self.node, self.other = node, rclpy.create_node("intruder", use_global_arguments=False)
+        node.boundary.protect(node)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(node)
+        self.executor.add_node(self.other)
+
+    def publish(self, topic: Topic, by: Node | None = None) -> Publisher:
+        """A publisher of the other node, or a third one."""
+        return (by or self.other).create_publisher(topic.type, topic.name, qos_profile(topic.qos))
+
+    def until(self, condition: Callable[[], object], what: str, meanwhile: Callable[[], None] = lambda: None) -> None:
+        """Let the nodes work until the condition holds."""
+        for _ in range(500):
+            if condition():
+                return
+            meanwhile()
+            self.executor.spin_once(0.05)
+            self.node.inbox.run_tasks()
+        pytest.fail(f"not within 500 turns: {what}")
 
 
 class Published:
