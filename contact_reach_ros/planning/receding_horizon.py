@@ -131,11 +131,16 @@ class RecedingHorizonPlanner:
         begin = time.perf_counter()
         q = np.array(self._arm.home)
         request = Request(q, np.zeros(self._arm.n), 0, 0, Target(hold_at(self._arm, q).position), Spheres.none())
-        # The first one compiles what a plan needs, the second what it needs to continue the one before.
-        _, _, *plans = [self.plan(request) for _ in range(_WARM_UP_PLANS)]
+        spent = []
+        for _ in range(_WARM_UP_PLANS):
+            # CPU time: another program that is busy meanwhile does not count.
+            began = time.process_time()
+            plan = self.plan(request)
+            spent.append((time.process_time() - began) / plan.steps)
         self.reset()
         self._number = 0
-        step = min(plan.solve_s / plan.steps for plan in plans)
+        # The first plan compiles what it needs, the second what it needs to continue the one before.
+        step = min(spent[2:])
         progress(f"planner: ready after {time.perf_counter() - begin:.1f} s, one solver step takes {1e3 * step:.1f} ms")
         if 0.0 < self._settings.deadline < step:
             raise SettingsError(
