@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks import paper
 from benchmarks.grid import Record
 from benchmarks.statistics import CONFIDENCE, MIN_TARGETS, Estimate, corrected, estimate, share
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 
 GOAL_NAMES = {"hold": "orientation held", "free": "position only"}
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import Arm, link_frames
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.obstacle import BallSettings, BoxSettings, ObstacleSettings

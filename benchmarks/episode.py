@@ -14,8 +14,7 @@ import numpy as np
 
 from benchmarks.baselines.method import Method
 from benchmarks.episode_result import EpisodeResult
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import SafetyReport

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 
 from benchmarks.episode_result import EpisodeResult
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.simulation.faults import Fault, Push, RivalCommands

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.output import command_line, given, run_command, write_report
 from benchmarks.press import lattice, press_in_model, press_in_plant
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import InputError, SceneError
 from contact_reach_ros.scenes.generate import make_scene

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import SupervisionSettings

@@ -16,7 +16,7 @@ from benchmarks.episode import EpisodeOptions, run_episode
 from benchmarks.identified import identified, of_arm
 from benchmarks.metrics import EpisodeMetrics, measure
 from benchmarks.paper import JOINT_TORQUE
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arms import DEFAULT_ARM, load_arm
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.errors import ContactReachError

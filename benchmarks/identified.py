@@ -6,7 +6,7 @@ import dataclasses
 import functools
 
 from benchmarks.free_motion import FreeMotion
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.tool import NO_TOOL
 from contact_reach_ros.identification.identify import identify
 from contact_reach_ros.identification.recording import Recording, recording_of

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control import kernels
 from contact_reach_ros.control.constants import make_constants

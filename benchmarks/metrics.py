@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.episode_result import EpisodeResult
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.settings import PlanningSettings, steady_speed
 from contact_reach_ros.simulation.plant import TICK

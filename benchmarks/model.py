@@ -22,7 +22,7 @@ import pinocchio as pin
 from benchmarks.law import ImpedanceLaw, pose_error
 from benchmarks.output import command_line, given, percentiles, run_command, say, table, write_report
 from benchmarks.recorded_plans import RecordedPlan, record_plans
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.controller import blend

@@ -9,9 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from benchmarks.free_motion import START, FreeMotion
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer

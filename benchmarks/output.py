@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.resources import versions
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.spheres import Spheres

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.baselines.method import Method
 from benchmarks.episode import EpisodeOptions, run_episode
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.observer.budget import load_budget

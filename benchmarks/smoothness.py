@@ -11,7 +11,7 @@ from scipy.signal import butter, sosfiltfilt, welch
 
 from benchmarks.output import Report, command_line, given, machine, run_command, say, table, write_report
 from benchmarks.workers import run_each
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import DEFAULT_ARM, load_arm
 from contact_reach_ros.control.controller import ControllerSettings

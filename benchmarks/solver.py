@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.output import Report, command_line, given, machine, run_command, say, table, write_report
 from benchmarks.recorded_plans import RecordedPlan, record_plans
 from benchmarks.statistics import estimate
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.errors import InputError

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import beta
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 
 CONFIDENCE = 0.95
 MIN_TARGETS = 10

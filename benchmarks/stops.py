@@ -10,8 +10,7 @@ import numpy as np
 
 from benchmarks.output import Report, command_line, given, machine, percentiles, run_command, say, table, write_report
 from benchmarks.workers import run_each
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.simulation.robot import SimulatedRobot

@@ -50,7 +50,7 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 def _watch(reader: int) -> None:
     while data := os.read(reader, 1):
-        # Whoever has replaced the handler meanwhile wants to do more.
+        # A handler that was set meanwhile does more than end the process.
         if signal.getsignal(data[0]) is _end:
             os._exit(0)
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arms import EVERY_SECTION, TOOL, arm_in, known_parameters, load_arm
 from contact_reach_ros.bags.settings import RECORDER_SECTIONS

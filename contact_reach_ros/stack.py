@@ -9,10 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import Arm, Array, JointState, link_frames
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.settings import disagreement, plan_basis
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError, Verdict, requested

@@ -21,7 +21,7 @@ GAP_PERIODS = 3
 """A step between states of more than so many periods is a gap, over which nothing is known."""
 
 GAPS_IN_A_ROW = 5
-"""So many mean that whoever reads the states is blind."""
+"""So many mean that the reader of the states is blind."""
 
 _BITS = 7
 """Significant binary digits of the durations in a `Histogram`."""

@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import contact_reach_ros as cr
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import link_frames
 
 picture = sys.argv[1] if len(sys.argv) > 1 else "plan.png"
 arm = cr.load_arm("iiwa14")

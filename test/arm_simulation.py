@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arms import load_arm

@@ -10,8 +10,7 @@ import numpy as np
 from arm_simulation import ARM
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arm import Arm, Capsule
-from contact_reach_ros.arm.kinematics import rotation_from_quaternion
+from contact_reach_ros.arm import Arm, Capsule, rotation_from_quaternion
 
 _DROPPED = 2
 """Index of the joint that it lacks."""

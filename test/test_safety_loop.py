@@ -8,7 +8,7 @@ from arm_simulation import ARM, HOME, SECOND_NS, TICK_NS, TORQUE_LIMITS
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from contact_reach_ros.arm.joint_state import REST_SPEED, JointState
+from contact_reach_ros.arm import REST_SPEED, JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.controller import Controller, ControllerSettings

@@ -12,7 +12,7 @@ from arm_simulation import ARM, HOME, TICK_NS
 from plans import make_plan
 
 from benchmarks.episode import EpisodeRobot, Silent
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.controller import ControllerSettings

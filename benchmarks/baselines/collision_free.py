@@ -17,9 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.baselines.rrt_star import JointPath
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.kinematics import link_frames_of_many
+from contact_reach_ros.arm import Arm, Array, link_frames_of_many
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import make_objective

@@ -23,8 +23,7 @@ from benchmarks.baselines.rrt_star import (
     joint_bounds,
     path_length,
 )
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.obstacles import Network
 from contact_reach_ros.planning.transfer.lanes import single

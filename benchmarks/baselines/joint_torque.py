@@ -20,8 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.law import ImpedanceLaw
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import make_constants, stop_damping
 from contact_reach_ros.control.controller import Controller, ControllerSettings

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.planning.plan import PlanningCore
 

@@ -11,8 +11,7 @@ from benchmarks.baselines.joint_torque import TorqueController, TorquePlanner
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.reactive import ReactivePlanner
 from benchmarks.baselines.rrt_star import JointPath, PathSettings, find_path
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.control.constants import stop_damping
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.errors import SettingsError

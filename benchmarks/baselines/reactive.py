@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import Arm, link_frames
 from contact_reach_ros.planning.plan import Plan, Request
 from contact_reach_ros.planning.settings import ROTATION_BOUND, PlanningSettings
 

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.baselines.clearance import ClearanceChecker
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.settings import Settings, setting

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.planning.plan import Plan, Request

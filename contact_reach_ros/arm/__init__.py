@@ -1,1 +1,36 @@
 """The arm: its kinematics and dynamics, and the MJCF, URDF and Pinocchio model made from its table."""
+
+from contact_reach_ros.arm.arm import Arm, Capsule, Inertia, Joint, Quaternion, Vector3
+from contact_reach_ros.arm.arrays import Array, checked_array
+from contact_reach_ros.arm.joint_state import REST_SPEED, JointState, check_rest, checked_torque
+from contact_reach_ros.arm.kinematics import (
+    link_frames,
+    link_frames_of_many,
+    rotation_about,
+    rotation_from_quaternion,
+    tensor_matrix,
+    tip_positions,
+    tip_turn,
+)
+
+__all__ = [
+    "REST_SPEED",
+    "Arm",
+    "Array",
+    "Capsule",
+    "Inertia",
+    "Joint",
+    "JointState",
+    "Quaternion",
+    "Vector3",
+    "check_rest",
+    "checked_array",
+    "checked_torque",
+    "link_frames",
+    "link_frames_of_many",
+    "rotation_about",
+    "rotation_from_quaternion",
+    "tensor_matrix",
+    "tip_positions",
+    "tip_turn",
+]

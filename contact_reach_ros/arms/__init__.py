@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.table import arm_of_table, table_of
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.errors import SettingsError

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from contact_reach_ros.arm.arm import Arm, Capsule, Inertia, Joint, Quaternion, Vector3
+from contact_reach_ros.arm import Arm, Capsule, Inertia, Joint, Quaternion, Vector3
 
 _ARMATURE = 0.01
 """Reflected motor inertia of every joint, kg m²: link 7 alone (0.001 kg m²) would be unphysically light."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arms import EARLIER_DIGESTS, ROBOT_DIGEST, ROBOT_TABLE, arm_in, load_arm
 from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, read_raw
 from contact_reach_ros.bags.reader import BagReader, RawMessage

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.planning.settings import SPEED_SCALE
 from contact_reach_ros.ros.client import PLANNER, Outcome, StackClient, connect

@@ -8,11 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array, JointState, link_frames
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
-from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.identification.recording import Recording, recording_of

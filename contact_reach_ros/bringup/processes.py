@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arms import arm_in, known_parameters, load_arm
 from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.errors import SettingsError

@@ -7,9 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import REST_SPEED, JointState, check_rest, checked_torque
+from contact_reach_ros.arm import REST_SPEED, Arm, Array, JointState, check_rest, checked_torque
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.adapter_settings import AdapterSettings
 from contact_reach_ros.control.constants import make_constants

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.control.kernels import Constant
 from contact_reach_ros.control.settings import (
     SINGULARITY_FLOOR,

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.kernels import Constant, between, stopping_torque, tracking_torque, turned
@@ -137,7 +135,7 @@ class Controller:
         """Take an observer for `watch`, which nobody else may use, if the settings want the controller to have one.
 
         Its nominal time between states is `watch_period`. From then on the controller does not start unless it
-        vouches, too.
+        confirms the states, too.
         """
         if self.settings.supervision.has_own_watch:
             self._watch = OwnWatch(watcher, self.supervisor, self._period, self.watch_period)
@@ -171,7 +169,7 @@ class Controller:
     def update(self, state: JointState, clock_ns: int) -> Array | None:
         """Answer one joint state, which becomes `state` if it is new.
 
-        The first state for which the observer vouches starts the controller: the first command is the torque that
+        The first state that the observer confirms starts the controller: the first command is the torque that
         holds the arm.
 
         Returns

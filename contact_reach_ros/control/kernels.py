@@ -21,7 +21,7 @@ import numba
 import numpy as np
 from numba import float64
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 
 
 class Constant(IntEnum):
@@ -197,7 +197,7 @@ def pose_error(
 ) -> Array:
     """Δx = x ⊖ x_d, (6,): translation in m, then a rotation vector in rad.
 
-    That of R R_dᵀ, or what of it law (1) controls: of five rows `axis_turn`, of three nothing.
+    The rotation vector of R R_dᵀ, or the part that law (1) controls: with five rows `axis_turn`, with three nothing.
     """
     error = np.zeros(6)
     for i in range(3):

@@ -1,4 +1,4 @@
-"""The controller's own watch: an observer of the states that the controller answers, whoever else is late."""
+"""The controller's own watch: an observer of the states that the controller answers, independent of other processes."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import math
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.control.supervisor import Supervisor
 from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict
 from contact_reach_ros.timing import GAP_PERIODS, GAPS_IN_A_ROW, NANOSECONDS

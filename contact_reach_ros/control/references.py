@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -134,7 +134,7 @@ class ReferenceQueue:
         self.unpaired = 0
         """Number of halves dropped because the other half never came."""
         self.dropped: list[str] = []
-        """Why plans in force were dropped; whoever reads it empties it."""
+        """Why plans in force were dropped; the reader empties it."""
 
     def offer_poses(self, knots: PoseKnots, now_ns: int) -> None:
         """Take the x_d half of a plan; raises `InputError` naming the field if it is refused."""

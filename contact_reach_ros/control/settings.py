@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arms import ROBOT, ROBOT_DIGEST
 from contact_reach_ros.errors import SettingsError
@@ -70,7 +70,7 @@ class SupervisionSettings(Settings):
     """Plan age, start and stop."""
 
     require_observer: bool = setting(
-        True, "command nothing until the observer has vouched for the joint states; false moves an unwatched arm"
+        True, "command nothing until the observer confirms the joint states; false moves an unwatched arm"
     )
     shadow: bool = setting(
         False, "compute everything, but publish the torques on shadow/commands, where nothing acts on them"

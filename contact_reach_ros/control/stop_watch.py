@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import REST_SPEED
+from contact_reach_ros.arm import REST_SPEED, Arm, Array
 from contact_reach_ros.timing import NANOSECONDS, states_in
 
 SPEED_DEBOUNCE = 3

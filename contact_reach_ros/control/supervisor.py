@@ -10,9 +10,7 @@ from enum import Enum
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import check_rest
+from contact_reach_ros.arm import Arm, Array, check_rest
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.control.stop_watch import SPEED_DEBOUNCE, StopWatch
 from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict, is_missing_states, with_sequel
@@ -201,8 +199,8 @@ class Supervisor:
     def hear_observer(self, verdict: Verdict, clock_ns: int) -> None:
         """Take a report of the observer, which is also its heartbeat; a reason in it stops the arm once it has started.
 
-        Except that it may miss states for a while if the controller's own watch vouches for the arm: then its process
-        was held up, and the states have been seen.
+        While the controller's own watch is healthy, missed states do not stop the arm: the observer's process was held
+        up, and the states have been seen.
 
         `clock_ns`: time of its arrival on the watchdogs' clock.
         """
@@ -216,7 +214,7 @@ class Supervisor:
     def hear_own(self, verdict: Verdict, clock_ns: int) -> None:
         """Take a report of the controller's own watch, which counts as much as the observer's.
 
-        It may miss states for as long as the observer may, while that vouches for the arm.
+        It may miss states for as long as the observer may, while the observer is healthy.
         """
         self._own, self._own_ns = verdict, clock_ns
         self._own_missing_ns = _since(self._own_missing_ns, verdict, clock_ns)
@@ -248,7 +246,7 @@ class Supervisor:
         doubt = self._verdict.reason or self._verdict.doubt
         if self._own is not None:
             doubt = doubt or self._own.reason or self._own.doubt
-        return f"the observer does not vouch for the arm: {doubt}" if doubt else ""
+        return f"the observer does not confirm the joint states: {doubt}" if doubt else ""
 
     def pass_time(self, clock_ns: int) -> None:
         """Note that a joint state has arrived, even one that is refused: this process is not held up."""
@@ -269,7 +267,7 @@ class Supervisor:
     def watch_observer(self, clock_ns: int) -> None:
         """Stop when the observer has been silent for too long; unless required, it may never have reported.
 
-        While the controller's own watch vouches for the arm, nothing goes unseen meanwhile, and it may take longer.
+        While the controller's own watch is healthy nothing goes unseen, and the observer may take longer.
         """
         self.pass_time(clock_ns)
         silence_ns = self._silent_for(clock_ns)

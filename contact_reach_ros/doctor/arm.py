@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.doctor.findings import Finding, Verdict, failed, graded
 from contact_reach_ros.observer.budget import ContactBudget

@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.capsules import shape_name, shapes
 from contact_reach_ros.arm.table import table_text
 from contact_reach_ros.arm.urdf_reader import read_arm_file

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.doctor.findings import Finding, Verdict, graded
 from contact_reach_ros.timing import NANOSECONDS
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import arm_in, load_arm, robot_in
 from contact_reach_ros.doctor import arm as joints

@@ -21,7 +21,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.doctor.arm import JointRecord
 from contact_reach_ros.doctor.findings import Finding, Verdict, failed, graded
 from contact_reach_ros.errors import ContactReachError

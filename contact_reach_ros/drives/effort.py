@@ -11,8 +11,7 @@ from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.control.adapter_settings import EffortSettings
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialized import CommandWriter

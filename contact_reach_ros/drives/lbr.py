@@ -10,9 +10,7 @@ import numpy as np
 from lifecycle_msgs.msg import State
 from rclpy.node import Node
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.control.adapter_settings import LbrSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.messages import topics

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arms import TOOL as TOOL_SECTION
 from contact_reach_ros.arms import TOOL_PARAMETERS, arm_in

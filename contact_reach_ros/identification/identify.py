@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.identification.fit import Fit, fit

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.kinematics import tensor_matrix
+from contact_reach_ros.arm import Arm, Array, tensor_matrix
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.identification.recording import Samples

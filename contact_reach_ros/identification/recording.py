@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import butter, lfilter, sosfiltfilt
 
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.settings import MomentumSettings
 from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS

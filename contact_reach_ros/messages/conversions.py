@@ -13,8 +13,7 @@ from geometry_msgs.msg import Point, PoseStamped, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.errors import code_of
 from contact_reach_ros.messages.safety_state import ERROR, MONITORING, OK, STOP_CODE, WARN, findings
 from contact_reach_ros.observer.observer import SafetyReport

@@ -7,7 +7,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.conversions import to_status
 from contact_reach_ros.messages.safety_state import OK, WARN

@@ -7,7 +7,7 @@ from geometry_msgs.msg import Quaternion
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.messages.cdr import HEADER
 from contact_reach_ros.messages.conversions import to_marker, to_point, to_time
 from contact_reach_ros.messages.obstacle_reader import BLOCK, EDGES, FIXED, OBSTACLES, PLANE, REST

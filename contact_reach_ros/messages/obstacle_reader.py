@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import FrameError, InputError
 from contact_reach_ros.messages.cdr import STAMP, Cursor, no_message
 from contact_reach_ros.timing import NANOSECONDS

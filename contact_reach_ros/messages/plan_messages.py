@@ -20,9 +20,7 @@ from trajectory_msgs.msg import (
 )
 from visualization_msgs.msg import Marker, MarkerArray
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.messages.conversions import to_marker, to_point, to_quaternion, to_status, to_time
 from contact_reach_ros.messages.plan_reader import CONTACT, ELBOW, FLANGE
 from contact_reach_ros.planning.plan import Plan

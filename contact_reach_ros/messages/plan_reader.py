@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.kinematics import rotation_from_quaternion
+from contact_reach_ros.arm import Array, rotation_from_quaternion
 from contact_reach_ros.control.references import PoseKnots, PostureKnots
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.values import FARTHEST, nanoseconds, places_of, vector

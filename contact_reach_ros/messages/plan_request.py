@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.planning.detour import Detour
 from contact_reach_ros.planning.plan import ReferenceTrajectory, Request

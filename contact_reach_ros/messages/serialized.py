@@ -15,8 +15,7 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import Float64MultiArray
 
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import (

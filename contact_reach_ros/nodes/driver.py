@@ -16,8 +16,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.errors import InputError, StopCode, StopReason, requested
 from contact_reach_ros.messages import topics
@@ -182,7 +181,7 @@ class DriverNode(ManagedNode):
         if shows_obstacles:
             self._obstacles.publish(self._obstacle_writer.write(robot.plant.obstacle_positions(), now_ns))
         if self.lockstep:
-            # Last, so that whoever handles it has everything else.
+            # Last: nodes that handle it have everything else.
             self._publish_states(states)
         if self._clock_publisher is not None and steps % _CLOCK_EVERY == 0:
             self._clock_publisher.publish(Clock(clock=to_time(now_ns)))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 
 _POINTS = 5

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.linalg import lapack
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.observer.settings import MomentumSettings
 from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS, PAUSE

@@ -7,9 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arm.model import Models, RobotModel
 from contact_reach_ros.errors import InputError, Verdict
 from contact_reach_ros.observer.budget import ContactBudget
@@ -40,7 +38,7 @@ class SafetyReport(NamedTuple):
     distrust
         What is wrong with the joint states or the model, on which even a compliant stop relies; empty if nothing is.
     doubt
-        Why the arm must not start; empty when the observer vouches for the state.
+        Why the arm must not start; empty when nothing speaks against the state.
     residual
         External torque (n,), N m.
     age

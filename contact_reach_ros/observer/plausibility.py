@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.errors import StopCode, StopReason
 from contact_reach_ros.observer.settings import PlausibilitySettings
 from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS, states_in

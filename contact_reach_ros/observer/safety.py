@@ -8,9 +8,7 @@ from enum import Enum
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import check_rest
+from contact_reach_ros.arm import Arm, Array, check_rest
 from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import SafetySettings

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import REST_SPEED
+from contact_reach_ros.arm import REST_SPEED, Arm, Array
 from contact_reach_ros.errors import StopCode, StopReason
 from contact_reach_ros.timing import GAPS_IN_A_ROW, NANOSECONDS, PAUSE, states_in
 

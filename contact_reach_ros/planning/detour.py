@@ -14,10 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
-from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.planning.obstacles import Network
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.settings import PlanningSettings

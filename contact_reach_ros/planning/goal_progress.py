@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.goal import Target, Task
 

@@ -9,8 +9,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.capsules import shape_segments
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.transfer.clearance import Bodies

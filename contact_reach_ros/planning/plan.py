@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.control.references import Reference, References
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres

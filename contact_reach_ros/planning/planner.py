@@ -9,9 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.settings import AXIS, POSE, POSITION
 from contact_reach_ros.errors import InputError, PlanningError, is_missing_states
@@ -381,7 +379,7 @@ class Planner:
         self._progress.update(self.goal, model.position, model.rotation, speed, state.stamp_ns)
 
     def resolve(self, goal: Task, state: JointState) -> Target:
-        """The pose to plan for, without what of the orientation law (1) leaves to the null space.
+        """The pose to plan for, without the part of the orientation that law (1) leaves to the null space.
 
         Raises
         ------

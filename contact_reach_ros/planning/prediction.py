@@ -11,9 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.planning.plan import Held, ReferenceTrajectory
 from contact_reach_ros.planning.transfer import pipeline

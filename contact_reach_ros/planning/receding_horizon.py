@@ -12,8 +12,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings, plan_basis
 from contact_reach_ros.errors import InputError, SettingsError
@@ -46,7 +45,7 @@ class Memory(NamedTuple):
     best: np.ndarray
     """(N,) the last plan as a point of the solver's box."""
     state: State | None
-    """State of the solver at the end of its search; None to search anew around `best`."""
+    """State of the solver at the end of its search; None to start a new search around `best`."""
     approach: Approach
     """Progress towards the goal."""
     plans: int

@@ -135,9 +135,14 @@ TERMS: dict[str, Term] = {}
 
 
 def term(weight: str | float) -> Callable[[Value], Value]:
-    """Add a function to the terms, under its own name."""
+    """Add a function to the terms, under its own name.
+
+    Raises `SettingsError` if there is a term of this name: it would no longer count.
+    """
 
     def add(value: Value) -> Value:
+        if value.__name__ in TERMS:
+            raise SettingsError(f"cost term '{value.__name__}': expected a new name; used are {', '.join(TERMS)}")
         TERMS[value.__name__] = Term(value, weight)
         return value
 

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import EpisodeSignals, arm_of_bag, read_signals

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.kinematics import tip_positions
+from contact_reach_ros.arm import Arm, tip_positions
 from contact_reach_ros.bags.signals import EpisodeSignals, goal_distance
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.settings import Settings

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.arms import arm_in, load_arm
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
@@ -247,7 +247,7 @@ class StackClient(Client):
         self.until(everybody, _FOUND_S)
 
     def release_all(self, timeout: float = _REST_S) -> Outcome:
-        """Release whoever is stopped, and look again, until nobody is or the time, s, is over.
+        """Release all stopped nodes, and look again, until none is stopped or the time, s, is over.
 
         Until the arm is at rest a release is refused; and a drive closes its brakes on its own some seconds after the
         stop of the controller, perhaps just when that is being released.

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.conversions import to_point, to_quaternion
 from contact_reach_ros.messages.topics import GOAL_POSE, OBSTACLES

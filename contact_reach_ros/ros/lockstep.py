@@ -153,7 +153,7 @@ class LockstepDriver:
         """Wait until every node is done with the first state and commands come.
 
         Nodes that are still starting are waited for without limit. How often the state is repeated until the observer
-        vouches for the arm depends on the machine, so time stands still until then, for about 2 s at most.
+        confirms the states depends on the machine, so time stands still until then, for about 2 s at most.
 
         Parameters
         ----------

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arms import checked_arm, known_parameters
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import (

@@ -9,11 +9,9 @@ from typing import TypeVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array, link_frames, link_frames_of_many
 from contact_reach_ros.arm.capsules import pair_distances, self_pairs, shape_radii, shape_segments
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
-from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.placing import capsule_links, free_path, on_hand, postures_at, target_clearance

@@ -8,10 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array, checked_array
+from contact_reach_ros.arm import Arm, Array, checked_array, link_frames
 from contact_reach_ros.arm.capsules import shape_name, shape_segments
-from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import ContactReachError, InputError, SceneError, SettingsError

@@ -8,11 +8,9 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array, link_frames, rotation_about
 from contact_reach_ros.arm.capsules import shape_radii, shape_segments
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
-from contact_reach_ros.arm.kinematics import link_frames, rotation_about
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.world.collision import capsule_segments, overlap_depths
 from contact_reach_ros.world.obstacle import BallSettings, ObstacleSettings, WallSettings

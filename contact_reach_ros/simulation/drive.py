@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import checked_torque
+from contact_reach_ros.arm import Array, checked_torque
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.simulation.plant import Actuation, Plant

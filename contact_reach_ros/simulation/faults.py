@@ -13,8 +13,7 @@ from typing import ClassVar, TypeVar
 
 import numpy as np
 
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.timing import NANOSECONDS

@@ -9,8 +9,7 @@ from enum import Enum
 import mujoco
 import numpy as np
 
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, TIP_SITE, build_mjcf
 from contact_reach_ros.simulation.obstacles import (
     OUT_OF_REACH,

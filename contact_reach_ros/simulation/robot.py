@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.faults import Fault, Faults, UnknownObstacle

@@ -9,9 +9,7 @@ import trimesh
 import viser
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.palette import ORANGE, VERMILION, as_bytes
 
 _BODY, _COVER, _DARK = "#DBDEE0", "#F2731A", "#383B40"

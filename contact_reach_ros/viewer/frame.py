@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
 from contact_reach_ros.messages.plan_reader import PlanPicture

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.messages.values import FARTHEST, goal_in, numbers

@@ -11,9 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 import viser
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.safety_state import ERROR, OK, WARN
 from contact_reach_ros.observer.budget import ContactBudget

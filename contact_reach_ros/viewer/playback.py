@@ -9,7 +9,7 @@ from typing import Any
 
 import viser
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.viewer.recorded import Recording
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Array
 from contact_reach_ros.palette import BLUE, JOINT_COLOURS, VERMILION
 
 SPAN = 20.0

@@ -10,9 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.kinematics import tip_positions
+from contact_reach_ros.arm import Arm, Array, tip_positions
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent, Series, arm_of_bag, goal_distance, read_signals
 from contact_reach_ros.errors import BagError, InputError

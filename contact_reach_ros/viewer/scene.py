@@ -9,8 +9,7 @@ import numpy as np
 import trimesh
 import viser
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.palette import BLUE, ORANGE, PURPLE, SKY_BLUE, VERMILION, as_bytes
 from contact_reach_ros.viewer.arm import ArmView

@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array, tip_turn
 from contact_reach_ros.arm.capsules import (
     pair_distances,
     segment_distances,
@@ -18,7 +17,6 @@ from contact_reach_ros.arm.capsules import (
     shapes,
 )
 from contact_reach_ros.arm.inverse_kinematics import is_attainable
-from contact_reach_ros.arm.kinematics import tip_turn
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.rigid import Environment, Plane, RigidBody

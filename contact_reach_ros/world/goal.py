@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array, checked_array
+from contact_reach_ros.arm import Arm, Array, checked_array
 from contact_reach_ros.arm.inverse_kinematics import unreachable
 from contact_reach_ros.errors import InputError
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arrays import Array, checked_array
+from contact_reach_ros.arm import Array, checked_array
 from contact_reach_ros.errors import InputError
 
 Vector = Sequence[float] | Array

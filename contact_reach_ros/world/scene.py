@@ -6,8 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.settings import Settings, setting
 from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.rigid import Environment

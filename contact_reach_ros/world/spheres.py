@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from contact_reach_ros.arm.arrays import Array, checked_array
+from contact_reach_ros.arm import Array, checked_array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.world.rigid import Environment
 from contact_reach_ros.world.scene import Scene

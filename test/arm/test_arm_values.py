@@ -9,9 +9,9 @@ import pytest
 from arm_simulation import ARM
 from six_axis import SIX_AXIS
 
+from contact_reach_ros.arm import tip_positions
 from contact_reach_ros.arm.capsules import pair_distances, self_pairs
 from contact_reach_ros.arm.inverse_kinematics import unreachable
-from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.arm.table import table_text
 from contact_reach_ros.arms import ARMS, is_shipped, load_arm
 from contact_reach_ros.control.settings import ImpedanceSettings

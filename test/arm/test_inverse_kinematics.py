@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, WITH_TOOL
 
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
-from contact_reach_ros.arm.kinematics import link_frames
 
 LIMITS = np.array(ARM.upper)
 ROTATIONS, ORIGINS = link_frames(ARM, HOME)

@@ -6,7 +6,7 @@ import pinocchio as pin
 import pytest
 from arm_simulation import ARM, WITH_TOOL, random_states
 
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.urdf import build_urdf

@@ -9,7 +9,7 @@ import pytest
 from arm_simulation import ARM, TOOL, WITH_TOOL, random_states
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.arm.mjcf import build_mjcf, numbers
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.tool import Tool

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from arm_simulation import ARM
 
-from contact_reach_ros.arm.arm import Arm, Capsule, Inertia
+from contact_reach_ros.arm import Arm, Capsule, Inertia
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.table import ArmOptions, GivenCapsule, arm_of_table, table_of, table_text

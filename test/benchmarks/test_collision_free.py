@@ -8,7 +8,7 @@ from benchmarks.baselines.collision_free import CollisionFreePlanner
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.rrt_star import PathSettings, find_path
 from benchmarks.episode import EpisodeOptions, run_episode
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.settings import POSTURE_BOUND, ROTATION_BOUND, PlanningSettings

@@ -6,7 +6,7 @@ from arm_simulation import ARM, HOME
 
 from benchmarks.baselines.contact_rrt import PredictedForce, find_contact_path
 from benchmarks.baselines.reactive import ReactivePlanner
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.goal import Target

@@ -7,7 +7,7 @@ from arm_simulation import ARM
 
 import contact_reach_ros as cr
 from benchmarks.baselines.rrt_star import PathSettings, find_path
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.presets import preset
 from contact_reach_ros.world.goal import Target

@@ -7,7 +7,7 @@ from arm_simulation import ARM, HOME, ideal_plant
 from benchmarks.baselines.joint_torque import HeldTorque, TorqueController, TorquePlanner, torque_step
 from benchmarks.baselines.method import Method
 from benchmarks.episode import EpisodeOptions, run_episode
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import stop_damping
 from contact_reach_ros.control.controller import ControllerSettings

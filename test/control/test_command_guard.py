@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST, TICK_NS, TORQUE_LIMITS, UNWATCHED, ideal_plant, references_of
 
-from contact_reach_ros.arm.joint_state import REST_SPEED, JointState
+from contact_reach_ros.arm import REST_SPEED, JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.adapter_settings import AdapterSettings
 from contact_reach_ros.control.command_guard import CommandGuard, Phase

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS, UNWATCHED, references_of
 
-from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arm.kinematics import rotation_about
+from contact_reach_ros.arm import JointState, rotation_about
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.controller import HOLD_BLEND, START_RAMP, Controller, ControllerSettings
 from contact_reach_ros.control.references import Reference

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST, TICK_NS
 
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import JointState
 from contact_reach_ros.control.controller import WATCH_RATE, Controller, ControllerSettings
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.control.supervisor import OBSERVER_PATIENCE, OBSERVER_TIMEOUT, Mode

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST
 
-from contact_reach_ros.arm.joint_state import REST_SPEED
+from contact_reach_ros.arm import REST_SPEED
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.control.stop_watch import CREEP, REST_WITHIN, SPEED_DEBOUNCE, SPEED_GAIN
 from contact_reach_ros.control.supervisor import TRANSITIONS, Event, Mode, Supervisor

@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.identification.recording import Recording, Samples

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from motions import ARM, MOMENTUM, motion, recording, torques
 
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import JointState
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.identification.recording import make_recording, make_samples, recording_of
 from contact_reach_ros.observer.settings import MomentumSettings

@@ -5,7 +5,7 @@ from arm_simulation import ARM, HOME
 from plans import make_plan
 from visualization_msgs.msg import Marker
 
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.messages.plan_messages import to_markers
 from contact_reach_ros.messages.plan_reader import read_plan
 from contact_reach_ros.messages.values import vector

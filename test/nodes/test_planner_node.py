@@ -12,7 +12,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from stack_helpers import hand_in, ros, wait_for
 from visualization_msgs.msg import MarkerArray
 
-from contact_reach_ros.arm.kinematics import rotation_about
+from contact_reach_ros.arm import rotation_about
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import (

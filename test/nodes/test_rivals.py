@@ -11,7 +11,7 @@ from rclpy.serialization import serialize_message
 from stack_helpers import UNWATCHED, AtRest, Beside, hand_in, ros
 from std_msgs.msg import Float64MultiArray
 
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import JointState
 from contact_reach_ros.errors import InputError, StopCode
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose

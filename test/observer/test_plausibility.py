@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS
 
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import StopCode
 from contact_reach_ros.observer.budget import ContactBudget

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from arm_simulation import ARM, HOME
 
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning import cost
 from contact_reach_ros.planning.cost import Objective

@@ -20,7 +20,7 @@ from planning_helpers import (
     make_problem,
 )
 
-from contact_reach_ros.arm.kinematics import rotation_about
+from contact_reach_ros.arm import rotation_about
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import JOINT_LIMIT_MARGIN, ROUNDING, TERMS, Problem, Term, term_weights

@@ -8,7 +8,7 @@ import pytest
 from arm_simulation import ARM, HOME, REST
 from planning_helpers import MS, ORIGINS, PERMITTED_FORCE, ROTATIONS, SMALL, ball_at
 
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.planning.detour import Detours
 from contact_reach_ros.planning.plan import Request

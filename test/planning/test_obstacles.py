@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
 
-from contact_reach_ros.arm.kinematics import rotation_about
+from contact_reach_ros.arm import rotation_about
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.world.goal import Target

@@ -8,7 +8,7 @@ import pytest
 from arm_simulation import ARM, HOME, REST, TICK_NS
 from plans import make_plan
 
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError, PlanningError
 from contact_reach_ros.observer.location import Contact

@@ -6,7 +6,7 @@ from arm_simulation import ARM, HOME, REST
 from planning_helpers import MS
 from plans import make_plan
 
-from contact_reach_ros.arm.kinematics import link_frames, rotation_about
+from contact_reach_ros.arm import link_frames, rotation_about
 from contact_reach_ros.control.controller import blend
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.planning.plan import Plan

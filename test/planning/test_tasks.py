@@ -10,8 +10,7 @@ from planning_helpers import PERMITTED_FORCE, SMALL
 from six_axis import SIX_AXIS
 
 from benchmarks.model import simulate
-from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arm.kinematics import link_frames, tip_positions
+from contact_reach_ros.arm import JointState, link_frames, tip_positions
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import ReferenceSpace

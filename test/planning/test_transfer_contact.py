@@ -7,7 +7,7 @@ import pytest
 from arm_simulation import ARM, HOME
 from planning_helpers import ball, ball_at, beside_forearm, obstacles_of
 
-from contact_reach_ros.arm.kinematics import link_frames as table_frames
+from contact_reach_ros.arm import link_frames as table_frames
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, contact_step, response
 from contact_reach_ros.planning.transfer.dynamics import link_frames

@@ -9,7 +9,7 @@ import pytest
 from arm_simulation import ARM, HOME, WITH_TOOL, random_states
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.planning.transfer import model

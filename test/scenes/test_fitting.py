@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from arm_simulation import ARM
 
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
-from contact_reach_ros.arm.kinematics import link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import ARMS, load_arm
 from contact_reach_ros.errors import SceneError

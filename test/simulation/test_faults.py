@@ -5,7 +5,7 @@ import pytest
 from arm_simulation import ARM, IDEAL_SENSORS, NO_FRICTION
 from arm_simulation import TICK_NS as MS
 
-from contact_reach_ros.arm.joint_state import JointState
+from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.simulation.faults import (

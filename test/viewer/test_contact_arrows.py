@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.arms.iiwa14 import ARM
 from contact_reach_ros.messages.safety_state import OK, WARN
 from contact_reach_ros.observer.location import Contact

@@ -8,8 +8,8 @@ import pytest
 from arm_simulation import ARM, HOME
 from six_axis import SIX_AXIS
 
+from contact_reach_ros.arm import link_frames, rotation_about
 from contact_reach_ros.arm.capsules import self_pairs, shape_radii, shape_segments, shapes
-from contact_reach_ros.arm.kinematics import link_frames, rotation_about
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.world.collision import GOAL_CLEARANCE, body_distances, check_hand, nearest
 from contact_reach_ros.world.goal import Target

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
 
-from contact_reach_ros.arm.joint_state import JointState
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import JointState, link_frames
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.planning.planner import Planner
 from contact_reach_ros.planning.settings import ReplanningSettings, UnexpectedContactSettings

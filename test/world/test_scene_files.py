@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, with_obstacle
 
-from contact_reach_ros.arm.kinematics import link_frames
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.errors import SceneError, SettingsError
 from contact_reach_ros.scenes.generate import make_scene, parse_target
 from contact_reach_ros.world.collision import check_hand, nearest

@@ -18,10 +18,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm import Arm, Array, rotation_from_quaternion
 from contact_reach_ros.arm.capsules import self_pairs
-from contact_reach_ros.arm.kinematics import rotation_from_quaternion
 from contact_reach_ros.arm.mjcf import TIP_SITE, build_mjcf
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.resources import KeptFile
