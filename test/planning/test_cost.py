@@ -23,7 +23,7 @@ from planning_helpers import (
 from contact_reach_ros.arm import rotation_about
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.terms import JOINT_LIMIT_MARGIN, ROUNDING, TERMS, Problem, Term, term_weights
+from contact_reach_ros.planning.terms import JOINT_LIMIT_MARGIN, ROUNDING, TERMS, Problem, Term, term, term_weights
 from contact_reach_ros.settings import setting
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -169,3 +169,11 @@ class TestTerms:
         np.testing.assert_allclose(terms["height"], -2.0 * heights[-1], rtol=1e-6)
         np.testing.assert_allclose(terms["heights"], 2.0 * heights.sum(axis=0), rtol=1e-6)
         np.testing.assert_allclose(cost, sum(terms.values()), rtol=1e-5)
+
+
+def test_a_term_needs_a_name_of_its_own():
+    with pytest.raises(SettingsError, match="cost term 'joint_speed': expected a new name"):
+
+        @term("own_weight")
+        def joint_speed(context):
+            return context.position[2, -1]
