@@ -1,10 +1,13 @@
-"""Plans that no planner made."""
+"""Plans that no planner made, and a core that makes some without compiling anything."""
 
 from typing import Any
 
 import numpy as np
+from arm_simulation import ARM
 
-from contact_reach_ros.planning.plan import Plan
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import PlanningError
+from contact_reach_ros.planning.plan import Plan, Request
 
 
 def make_plan(positions: np.ndarray, rotations: np.ndarray, postures: np.ndarray, **others: Any) -> Plan:
@@ -24,3 +27,32 @@ def make_plan(positions: np.ndarray, rotations: np.ndarray, postures: np.ndarray
         "solve_s": 0.0,
     }
     return Plan(positions=positions, rotations=rotations, postures=postures, **{**nothing, **others})
+
+
+class StayingCore:
+    """Plans of one knot to stay where the arm is; keeps what it was asked, and counts its resets."""
+
+    memory = None
+
+    def __init__(self, failing_after: int | None = None) -> None:
+        self.asked: list[Request] = []
+        self.failing_after = failing_after
+        self.resets = 0
+        self.model = RobotModel(ARM)
+
+    def warm_up(self, progress) -> None:
+        pass
+
+    def reset(self) -> None:
+        self.resets += 1
+
+    def reseed(self, seed: int) -> None:
+        pass
+
+    def plan(self, request: Request) -> Plan:
+        if len(self.asked) == self.failing_after:
+            raise PlanningError("there is no way to the goal")
+        self.asked.append(request)
+        q = request.q
+        position, rotation = self.model.tip_pose(q)
+        return make_plan(position[None], rotation[None], q[None], effect_ns=request.effect_ns, knot_duration_s=0.2)

@@ -11,13 +11,13 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 import yaml
-from ros_domains import fresh_domain
+from stack_helpers import SMALL_PLANNER, parameter_file, ready, running
+from stack_helpers import environment as stack_environment
 
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arms import load_arm
@@ -186,8 +186,7 @@ ENDLESS = {
 WITH_STACK = r"contact-reach (goto|home|speed|stop|reset|doctor)"
 OTHER_CODES = {r"contact-reach doctor": (0, 1), r"\.venv/bin/(?!replay|contact-reach)": (0,)}
 """The doctor may find fault with the machine; a node that has just become active ends by the signal itself."""
-SMALL = {"planner": {"planning": {"population": 32, "line_search_points": 16, "max_steps": 3}}}
-ANY_PORT = {"viewer": {"port": 0}}
+ANY_PORT = {"port": 0}
 
 
 def is_run(command: Command) -> bool:
@@ -243,50 +242,35 @@ def folder(tmp_path_factory) -> Path:
         shutil.copytree(ROOT / "bags" / "sample", folder / "bags" / bag)
     (folder / "my_scene.yaml").write_text("base: free\n")
     (folder / "my_arm.urdf").write_text(build_urdf(load_arm("iiwa7")))
-    for name, nodes in {"small": {**SMALL, **ANY_PORT}, "any_port": ANY_PORT}.items():
-        sections = {node: {"ros__parameters": values} for node, values in nodes.items()}
-        (folder / f"{name}.yaml").write_text(yaml.safe_dump(sections))
+    parameter_file(folder / "small.yaml", planner=SMALL_PLANNER, viewer=ANY_PORT)
+    parameter_file(folder / "any_port.yaml", viewer=ANY_PORT)
     return folder
 
 
 def environment() -> dict[str, str]:
     """Of a domain that nothing else uses, with the commands in the path."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    # A user has neither, and with other options for XLA the sample's plans differ by more than rounding.
-    own = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "XLA_FLAGS")
-    inherited = {name: value for name, value in os.environ.items() if name not in own}
-    return {**inherited, "PATH": path, "PYTHONPATH": str(ROOT), "ROS_DOMAIN_ID": str(fresh_domain())}
+    inherited = stack_environment()
+    # A user has none, and with other options for XLA the sample's plans differ by more than rounding.
+    inherited.pop("XLA_FLAGS")
+    return {**inherited, "PATH": path, "PYTHONPATH": str(ROOT)}
 
 
-def until_up(line: str, marker: str, folder: Path, env: dict[str, str], output: Path) -> subprocess.Popen:
-    """Start a command and wait for what it prints when it is up."""
-    with output.open("wb") as file:
-        process = subprocess.Popen(
-            ["bash", "-c", f"exec {line}"], cwd=folder, env=env, stdout=file, stderr=subprocess.STDOUT
-        )
-    deadline = time.monotonic() + 300
-    while marker not in output.read_text():
-        assert process.poll() is None and time.monotonic() < deadline, f"{line}: {output.read_text()}"
-        time.sleep(0.1)
-    return process
-
-
-def interrupt(process: subprocess.Popen) -> int:
-    process.send_signal(signal.SIGINT)
-    try:
-        return process.wait(60)
-    finally:
-        process.kill()
+def shell(line: str, folder: Path) -> list[str]:
+    """A command that becomes the program of a line, in a folder."""
+    return ["bash", "-c", f"cd {folder} && exec {line}"]
 
 
 @pytest.fixture(scope="module")
 def stack(folder):
     """Environment of a running stack."""
-    env = environment()
+    env, output = environment(), folder / "stack.txt"
     line = "contact-reach up --scene free --lockstep --parameters small.yaml"
-    process = until_up(line, "all nodes are active", folder, env, folder / "stack.txt")
-    yield env
-    assert interrupt(process) == 0
+    with running(shell(line, folder), env, output) as process:
+        ready(process, output)
+        yield env
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0
 
 
 @pytest.mark.slow
@@ -304,7 +288,10 @@ def test_commands_that_need_no_robot(page, folder, request):
         marker = next((marker for pattern, marker in ENDLESS.items() if re.search(pattern, line)), "")
         output = folder / "output.txt"
         if marker:
-            code = interrupt(until_up(line, marker, folder, env, output))
+            with running(shell(line, folder), env, output) as process:
+                ready(process, output, marker)
+                process.send_signal(signal.SIGINT)
+                code = process.wait(60)
         else:
             with output.open("wb") as file:
                 run = subprocess.run(["bash", "-c", line], cwd=folder, env=env, stdout=file, stderr=file, timeout=600)

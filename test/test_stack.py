@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, TICK_NS
-from plans import make_plan
+from plans import StayingCore
 
 from benchmarks.episode import EpisodeRobot, Silent
 from contact_reach_ros.arm import JointState
@@ -17,8 +17,8 @@ from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
-from contact_reach_ros.errors import InputError, PlanningError, SettingsError
-from contact_reach_ros.planning.plan import PlanningCore, Request
+from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.planning.plan import PlanningCore
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.scenes.generate import load_scene
@@ -33,34 +33,6 @@ FREE_SCENE = load_scene("free")
 GOAL = Goal(FREE_SCENE.target)
 BEYOND = Goal([5.0, 0.0, 0.0])
 BAD = np.where(np.arange(ARM.n) == 3, math.nan, 0.0)
-
-
-class StayingCore:
-    """Plans to stay where the arm is, without compiling anything; keeps what it was asked."""
-
-    memory = None
-
-    def __init__(self, failing_after: int | None = None) -> None:
-        self.asked: list[Request] = []
-        self.failing_after = failing_after
-        self.model = RobotModel(ARM)
-
-    def warm_up(self, progress) -> None:
-        pass
-
-    def reset(self) -> None:
-        pass
-
-    def reseed(self, seed: int) -> None:
-        pass
-
-    def plan(self, request):
-        if len(self.asked) == self.failing_after:
-            raise PlanningError("there is no way to the goal")
-        self.asked.append(request)
-        q = request.q
-        position, rotation = self.model.tip_pose(q)
-        return make_plan(position[None], rotation[None], q[None], effect_ns=request.effect_ns, knot_duration_s=0.2)
 
 
 class PlainRobot:

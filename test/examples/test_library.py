@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from plans import StayingCore
 
 import contact_reach_ros as cr
 from contact_reach_ros.control.supervisor import Mode
@@ -18,27 +19,9 @@ def scene() -> cr.Scene:
     return cr.load_scene("ball", arm=ARM, seed=0)
 
 
-class NoPlans:
-    """Takes the place of the solver where none is needed: compiling it would take longer than the test."""
-
-    memory = None
-
-    def warm_up(self, progress):
-        raise AssertionError("wrong uses are refused before anything is compiled")
-
-    def reset(self):
-        pass
-
-    def reseed(self, seed):
-        pass
-
-    def plan(self, request):
-        raise AssertionError("no plan is asked for")
-
-
 @pytest.fixture
 def stack(scene) -> cr.Stack:
-    return cr.Stack(scene, planner=NoPlans())
+    return cr.Stack(scene, planner=StayingCore())
 
 
 @pytest.mark.parametrize(
@@ -68,9 +51,9 @@ def test_settings_take_numbers_and_arrays_of_numpy():
 def test_planner_controller_and_observer_of_the_user_are_used(scene):
     controller = cr.Controller(ARM, cr.ControllerSettings())
     observer = cr.Observer(ARM, cr.ObserverSettings(), cr.ContactBudget())
-    stack = cr.Stack(scene, controller=controller, observer=observer, planner=NoPlans())
+    stack = cr.Stack(scene, controller=controller, observer=observer, planner=StayingCore())
     assert (stack.controller, stack.observer) == (controller, observer)
-    planner = cr.make_planner(ARM, 1, core=NoPlans())
+    planner = cr.make_planner(ARM, 1, core=StayingCore())
     assert cr.Stack(scene, planner=planner).planner is planner
     with pytest.raises(cr.ContactReachError, match="planner is a Planner with settings of its own"):
         cr.Stack(scene, planner=planner, planning=cr.PlanningSettings())

@@ -6,7 +6,8 @@ import math
 import numpy as np
 import pytest
 from arm_simulation import TICK_NS
-from test_planner import GOAL, Core, make, report, state, touch
+from plans import StayingCore
+from test_planner import GOAL, make, report, state, touch
 
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress
 from contact_reach_ros.planning.settings import RETREAT
@@ -69,7 +70,7 @@ class TestPlanner:
         return [phase for phase, _ in itertools.groupby(seen)]
 
     def test_a_retreat_gives_it_up(self):
-        planner = make(Core(), RETREAT)
+        planner = make(StayingCore(), RETREAT)
         planner.command(GOAL)
         self.phases(planner, 0, 60)
         for tick in range(61, 90):

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST, TICK_NS
-from plans import make_plan
+from plans import StayingCore
 
 from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.model import RobotModel
@@ -29,23 +29,8 @@ BEYOND = Goal([5.0, 0.0, 0.0])
 TIP, ROTATION = RobotModel(ARM).tip_pose(HOME)
 
 
-class Core:
-    """Plans to stay at home, and counts how often it was reset."""
-
-    def __init__(self) -> None:
-        self.asked: list[Request] = []
-        self.resets = 0
-
-    def reset(self) -> None:
-        self.resets += 1
-
-    def plan(self, request: Request):
-        self.asked.append(request)
-        return make_plan(TIP[None], ROTATION[None], HOME[None], effect_ns=request.effect_ns)
-
-
 def make(
-    core: Core | None = None, reaction: str = RETREAT, settings: ReplanningSettings = SETTINGS, **others
+    core: StayingCore | None = None, reaction: str = RETREAT, settings: ReplanningSettings = SETTINGS, **others
 ) -> Planner:
     return Planner(ARM, core, settings, UnexpectedContactSettings(reaction=reaction), **others)
 
@@ -70,8 +55,8 @@ def requests(planner: Planner, first: int, last: int) -> dict[int, Request]:
 
 
 @pytest.fixture
-def core() -> Core:
-    return Core()
+def core() -> StayingCore:
+    return StayingCore()
 
 
 @pytest.fixture

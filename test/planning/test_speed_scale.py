@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST
 from planning_helpers import FLANGE, SMALL
-from plans import make_plan
+from plans import StayingCore
 
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.plan import Request
@@ -40,11 +40,7 @@ def test_the_speed_changes_on_the_way(planner):
 
 
 def test_a_core_that_cannot_slow_down_makes_no_plan():
-    class Core:
-        def plan(self, request):
-            return make_plan(np.zeros((1, 3)), np.eye(3)[None], HOME[None])
-
-    whole = make_planner(ARM, 0, core=Core())
+    whole = make_planner(ARM, 0, core=StayingCore())
     with pytest.raises(PlanningError, match=r"speed_scale = 1: expected 0\.5"):
         whole.solve(REQUEST._replace(speed_scale=0.5))
     assert whole.plan is None

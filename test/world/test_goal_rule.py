@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
+from plans import StayingCore
 
 from contact_reach_ros.arm import JointState, link_frames
 from contact_reach_ros.errors import ContactReachError, InputError
@@ -25,16 +26,8 @@ def by_the_node(position: tuple, orientation: str) -> None:
     planner.command(Goal(position, orientation))
 
 
-class NoPlans:
-    def reset(self) -> None:
-        pass
-
-    def plan(self, *_: object) -> None:
-        raise NotImplementedError
-
-
 def by_a_stack(position: tuple, orientation: str) -> None:
-    Stack(load_scene("free"), planner=NoPlans()).command(Goal(position, orientation))
+    Stack(load_scene("free"), planner=StayingCore()).command(Goal(position, orientation))
 
 
 def by_a_scene(position: tuple, orientation: str) -> None:
