@@ -7,6 +7,8 @@ import hypothesis
 import pytest
 from ros_domains import own_domain
 
+from contact_reach_ros.resources import cache_directory
+
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # As in the nodes and the command line: the threads of two workers would wait for each other.
@@ -17,6 +19,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 _LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1024"
 _QUICK = f"--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false {_LOOPS}"
 os.environ.setdefault("XLA_FLAGS", _QUICK)
+# The tests' own programs are kept for the next run as well, where planners keep theirs.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache_directory() / "jax"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 # Nodes under test must not hear other robots, or another test run on this machine; each worker has a domain.
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ["ROS_DOMAIN_ID"] = str(own_domain())

@@ -166,6 +166,21 @@ def ready(process: subprocess.Popen, output: Path, marker: str = "all nodes are 
     assert process.poll() is None, output.read_text()
 
 
+def speeds_until(domain: str, holds: Callable[[list[float]], bool], timeout: float = 30.0) -> bool:
+    """Whether this holds in time for the speeds of the fastest joint, rad/s, that are heard in a ROS domain."""
+    speeds = [0.0]
+    with ros(domain=domain):
+        look = rclpy.create_node("look")
+        topic, qos = topics.JOINT_STATES, qos_profile(topics.NEWEST)
+        look.create_subscription(
+            topic.type, topic.name, lambda state: speeds.append(max(map(abs, state.velocity))), qos
+        )
+        deadline = time.monotonic() + timeout
+        while not holds(speeds) and time.monotonic() < deadline:
+            rclpy.spin_once(look, timeout_sec=0.1)
+    return holds(speeds)
+
+
 _MANY = """
 import json, sys
 from contact_reach_ros.cli import main

@@ -1,7 +1,5 @@
 """Derivatives of the Pinocchio model against finite differences, and what `update` promises."""
 
-import gc
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -63,13 +61,3 @@ def test_looking_elsewhere_leaves_the_attributes_alone(model):
     model.coriolis_matrix(HOME, 0.1 * np.ones(7))
     for name in names:
         np.testing.assert_array_equal(getattr(model, name), before[name], err_msg=name)
-
-
-def test_tip_pose_outlives_the_call(model):
-    positions = random_states(50)[0]
-    poses = [model.tip_pose(q) for q in positions]
-    gc.collect()
-    for q, (position, rotation) in zip(positions, poses, strict=True):
-        again = model.tip_pose(q)
-        np.testing.assert_array_equal(position, again[0])
-        np.testing.assert_array_equal(rotation, again[1])

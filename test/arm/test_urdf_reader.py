@@ -210,42 +210,36 @@ def test_joints_of_the_chain_can_be_held(tmp_path):
     assert arm.inertias()[0].mass == pytest.approx(2.7 + 2.4)
 
 
+LOST = '<mesh filename="package://x/y.stl"/>'
+
+
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
-        (
-            {"joint_3": joint("joint_3", "part_2", "part_3", "0 0 1", "prismatic")},
-            "joint 'joint_3', between base 'stand' and tip 'tool', is of type prismatic; expected .*under fixed",
-        ),
+        ({"joint_3": joint("joint_3", "part_2", "part_3", kind="prismatic")}, "'joint_3', .* prismatic; .*under fixed"),
         (
             {"loop": joint("loop", "part_7", "part_2")},
             "closed loop: joints 'joint_2' and 'loop' both move link 'part_2'",
         ),
         ({"part_4": link("part_4", 0.0, ball())}, "link 'part_4' has no mass; .*under inertias"),
+        ({"joint_5": joint("joint_5", "part_4", "part_5", extra="")}, "'joint_5' has no lower limit.*under limits"),
         (
-            {"joint_5": joint("joint_5", "part_4", "part_5", extra="")},
-            "joint 'joint_5' has no lower limit.*under limits",
-        ),
-        (
-            {"part_2": link("part_2", extra=collision('<mesh filename="package://x/y.stl"/>'))},
-            "link 'part_2': mesh 'package://x/y.stl' is not found; .*packages.*capsules",
+            {"part_2": link("part_2", extra=collision(LOST))},
+            "link 'part_2': mesh .* is not found; .*packages.*capsules",
         ),
         (
             {"part_2": link("part_2", extra=collision('<cone radius="1"/>'))},
-            "link 'part_2': collision: geometry <cone> is unknown; expected box",
+            "link 'part_2': .* <cone> is unknown; .*box",
         ),
         (
             {"tool_mount": joint("tool_mount", "part_7", "tool"), "tool": link("tool")},
-            "8 joints move between base 'stand' and tip 'tool' .*; expected 2 to 7: hold others .*under fixed",
+            "8 joints .* 2 to 7: .*under fixed",
         ),
         (
-            {"stand": link("stand").replace('ixx="0.02', 'ixx="O.02')},
+            {"stand": link("stand").replace("0.02", "O.02")},
             "link 'stand': inertia ixx = 'O.02'; expected 1 finite number",
         ),
-        (
-            {"part_2": link("part_2", extra=ball()).replace('ixx="0.02"', 'ixx="1.02"')},
-            "link 'part_2' has principal moments of inertia .* as no body has; .*under inertias",
-        ),
+        ({"part_2": link("part_2", extra=ball()).replace('"0.02"', '"1.02"')}, "'part_2' .* moments .*under inertias"),
     ],
     ids=lambda case: next(iter(case)) if isinstance(case, dict) else "",
 )

@@ -167,16 +167,3 @@ class TestRobot:
             faults.act(tick * MS)
             seen.append((plant.model.dof_damping[0], plant.model.dof_frictionloss[0]))
         np.testing.assert_allclose(seen, [(0.3, 0.2), (3.0, 2.0), (6.0, 4.0), (0.6, 0.4)])
-
-    def test_obstacle_comes_and_goes(self):
-        plant = make_plant(unknown=OBSTACLE)
-        place = plant.data.geom("capsule_7").xpos.copy()
-        faults = playing(UnknownObstacle((place[0] + 0.1, place[1], place[2]), at=0.01, duration=0.01), plant=plant)
-        forces = []
-        for tick in range(30):
-            faults.act(tick * MS)
-            plant.step()
-            forces.append(plant.contact_forces())
-        touched = np.array(forces).max(axis=1) > 1.0
-        assert not touched[:10].any() and touched[10:20].all() and not touched[21:].any()
-        assert np.argmax(forces[15]) == 5

@@ -19,6 +19,7 @@ from stack_helpers import (
     ready,
     ros,
     running,
+    speeds_until,
     wait_for,
 )
 from test_doctor import examine
@@ -132,6 +133,7 @@ def test_time_waits_for_a_recorder_that_stands_still(stack):
 def test_ctrl_c_ends_everything_with_the_arm_at_rest_and_the_bag_complete(stack):
     ((code, said),) = command_lines(stack.env, "goto 0.45 -0.45 0.35")
     assert code == 0, said
+    assert speeds_until(stack.env["ROS_DOMAIN_ID"], lambda speeds: speeds[-1] > 2 * REST)
     stack.process.send_signal(signal.SIGINT)
     assert stack.process.wait(120) == 0
     wait_for(lambda: not stack.processes, 20, "all processes of the stack have ended")

@@ -3,7 +3,6 @@
 import os
 import signal
 import sys
-import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,17 +11,31 @@ import pytest
 import yaml
 from contact_reach_command import contact_reach
 from message_packages import message_packages
-from stack_helpers import SMALL_PLANNER, command_lines, environment, module, processes_of_domain, ready, running
+from stack_helpers import (
+    PATIENT_PLANNER,
+    SMALL_PLANNER,
+    command_lines,
+    environment,
+    module,
+    processes_of_domain,
+    ready,
+    running,
+    speeds_until,
+    wait_for,
+)
 
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.messages.values import nanoseconds
+from contact_reach_ros.messages.safety_state import ERROR
 from contact_reach_ros.resources import config_file
 
 THERE, AWAY = "goto 0.51 0.025 0.145 --wait", "goto 0.45 -0.45 0.35"
-"""The second goal is half a metre from the first: the arm is on its way for some seconds after it is taken."""
+"""The second goal is half a metre from home: the arm is on its way for some seconds."""
 BRAKES = {"effort": "", "lbr": "the connection is closed", "franka": "no controller is active"}
 """Why each driver closes the brakes after a stop of the adapter; the first one does not."""
-STOPPED_FOR_S = 1.5
+MOVES, RESTS = 0.15, 0.05
+"""Speed of a joint that moves, and of one at rest, rad/s."""
+ATTEMPTS = 3
+"""On a machine that stands still for a while the arm is rightly stopped before it has moved: that shows nothing."""
 
 
 @pytest.fixture(scope="module")
@@ -32,11 +45,11 @@ def packages():
     return {"PYTHONPATH": os.pathsep.join((*folders, *filter(None, [os.environ.get("PYTHONPATH")])))}
 
 
-def parameters_of(kind, path):
-    """The parameter file that bring-up takes for a kind, with a planner that compiles faster."""
+def parameters_of(kind, path, small):
+    """The parameter file that bring-up takes for a kind, with a small planner, which compiles faster."""
     content = yaml.safe_load(config_file(f"{'default' if kind == 'effort' else kind}.yaml").read_text())
     planner = content.setdefault("planner", {}).setdefault("ros__parameters", {})
-    planner["planning"] = {**planner.get("planning", {}), **SMALL_PLANNER["planning"]}
+    planner.update(small, planning={**planner.get("planning", {}), **small["planning"]})
     path.write_text(yaml.safe_dump(content))
     return str(path)
 
@@ -48,7 +61,8 @@ def stack(kind, rate, lockstep, env, folder, scene="ball"):
     driver = [sys.executable, str(Path(__file__).with_name("standins.py")), kind, "--ros-args"]
     driver += ["-p", f"scene:={scene}", "-p", f"state_rate:={rate}.0"]
     up = [*module("cli"), "up", "--no-driver", "--adapter", kind, "--state-rate", str(rate)]
-    up += ["--parameters", parameters_of(kind, folder / "parameters.yaml"), "--bag", str(folder / "bag")]
+    parameters = parameters_of(kind, folder / "parameters.yaml", SMALL_PLANNER if lockstep else PATIENT_PLANNER)
+    up += ["--parameters", parameters, "--bag", str(folder / "bag")]
     if lockstep:
         driver += ["-p", "lockstep:=true", "-p", "waits_for:=adapter"]
         up.append("--lockstep")
@@ -71,31 +85,43 @@ def test_the_goal_is_reached_through_each_driver_at_its_rate(kind, rate, package
     assert contact_reach("reexecute", tmp_path / "bag") == 0 and capsys.readouterr().out.count("identical") == 2
 
 
+def stand_still_in_motion(kind, env, folder):
+    """Have the controller stand still when the arm is on its way; what the driver said until the arm was at rest.
+
+    None if the arm did not move.
+    """
+    folder.mkdir()
+    domain = env["ROS_DOMAIN_ID"]
+    with stack(kind, 500, False, env, folder, "free") as drivers:
+        controller = processes_of_domain(domain)["controller"]
+        ((code, _),) = command_lines(env, AWAY)
+        if code or not speeds_until(domain, lambda speeds: speeds[-1] > MOVES):
+            return None
+        os.kill(controller, signal.SIGSTOP)
+        try:
+            if BRAKES[kind]:
+                wait_for(lambda: "brakes closed: " in drivers.read_text(), 60, "the brakes are closed")
+            else:
+                assert speeds_until(domain, lambda speeds: len(speeds) > 200 and max(speeds[-200:]) < RESTS)
+        finally:
+            os.kill(controller, signal.SIGCONT)
+        return drivers.read_text()
+
+
 @pytest.mark.parametrize(
     "kind", [kind if kind == "lbr" else pytest.param(kind, marks=pytest.mark.slow) for kind in BRAKES]
 )
 def test_in_real_time_a_controller_that_stands_still_in_motion_leaves_the_arm_at_rest(kind, packages, tmp_path):
-    """The quick run takes the driver with a protocol of its own. Nothing is in the way: real time may be a busy one."""
+    """The quick run takes the driver with a protocol of its own."""
     env = {**environment(), **packages}
-    with stack(kind, 500, False, env, tmp_path, "free") as drivers:
-        there, away = command_lines(env, THERE, AWAY)
-        assert (there[0], away[0]) == (0, 0), (there, away)
-        controller = processes_of_domain(env["ROS_DOMAIN_ID"])["controller"]
-        os.kill(controller, signal.SIGSTOP)
-        stood_ns = time.time_ns()
-        time.sleep(STOPPED_FOR_S)
-        went_on_ns = time.time_ns()
-        os.kill(controller, signal.SIGCONT)
-        said = drivers.read_text()
-        assert BRAKES[kind] in said and ("brakes closed: " in said) == bool(BRAKES[kind])
-    bag = BagReader(tmp_path / "bag")
-    stops = [each.message.message for each in bag.messages(["/safety_state"]) if each.message.name == "adapter"]
-    assert any(text.startswith("no command for") for text in stops)
-    states = [each.message for each in bag.messages(["/joint_states"])]
-    times = np.array([nanoseconds(state.header.stamp) for state in states])
-    speeds = np.abs([state.velocity for state in states]).max(axis=1)
-    before = speeds[(times > stood_ns - 50_000_000) & (times < stood_ns)]
-    after = speeds[(times > stood_ns + 700_000_000) & (times < went_on_ns)]
-    assert before.max() > 0.1
+    attempts = (stand_still_in_motion(kind, env, tmp_path / str(attempt)) for attempt in range(ATTEMPTS))
+    said = next(filter(None, attempts), None)
+    assert said is not None, "the arm did not move"
+    assert BRAKES[kind] in said and ("brakes closed: " in said) == bool(BRAKES[kind])
+    bag = BagReader(max(tmp_path.glob("*/bag")))
+    said = [each.message for each in bag.messages(["/safety_state"]) if each.message.name == "adapter"]
+    assert next(each.message for each in said if each.level == ERROR).startswith("no command for")
+    speeds = [np.abs(each.message.velocity).max() for each in bag.messages(["/joint_states"])]
+    assert max(speeds) > MOVES
     # KUKA's driver reports nothing any more once its connection is closed.
-    assert (after < 0.05).all() and (len(after) or kind == "lbr")
+    assert kind == "lbr" or max(speeds[-100:]) < RESTS
