@@ -3,7 +3,7 @@
 import json
 
 import numpy as np
-from bench_command import bench
+from contact_reach_command import bench
 
 from benchmarks import observer
 

@@ -2,7 +2,7 @@
 
 import pytest
 from arm_simulation import ARM
-from bench_command import bench
+from contact_reach_command import bench
 from test_claims import record
 from test_grid import TINY
 

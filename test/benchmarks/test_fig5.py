@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 from arm_simulation import ARM
-from bench_command import bench
+from contact_reach_command import bench
 from test_grid import TINY
 
 from benchmarks import fig5 as fig5_module
@@ -18,7 +18,7 @@ from benchmarks.grid import concrete_scene
 from contact_reach_ros.simulation.plant import TICK
 
 SETUP = dataclasses.replace(TINY, timeout=3.5)
-METHODS = ("contact_reach", "reference_posture")
+METHODS = ("contact_reach",)
 
 
 def scripted(method, file, setup):

@@ -1,7 +1,7 @@
 """What a benchmark cannot run it refuses in one line, before it begins."""
 
 import pytest
-from bench_command import bench
+from contact_reach_command import bench
 
 from benchmarks import clutter, foam, observer, setting, solver, table1
 

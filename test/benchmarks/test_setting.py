@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from bench_command import bench
+from contact_reach_command import bench
 
 from benchmarks import pictures, setting
 from benchmarks.setting import Sweep, best

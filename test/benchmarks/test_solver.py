@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from bench_command import bench
+from contact_reach_command import bench
 
 from benchmarks import pictures
 from benchmarks.solver import LABELS, bench_solver, excess

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from bench_command import bench
+from contact_reach_command import bench
 from test_grid import TINY
 
 from benchmarks import pictures

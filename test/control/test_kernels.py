@@ -1,7 +1,6 @@
 """Nothing is compiled while an arm waits."""
 
-import subprocess
-import sys
+from contact_reach_command import python
 
 # In a process of its own, where no test has called a compiled function before.
 TICKS = """
@@ -35,7 +34,5 @@ print(before, compiled())
 
 
 def test_no_tick_compiles_anything() -> None:
-    result = subprocess.run([sys.executable, "-c", TICKS], capture_output=True, text=True, timeout=300)
-    assert result.returncode == 0, result.stderr
-    before, after = result.stdout.split()
+    before, after = python(TICKS).split()
     assert before == after != "0"

@@ -1,20 +1,17 @@
 """`contact-reach arm check`: what there is, what was assumed, and a table."""
 
-import pytest
 from arm_simulation import ARM
+from contact_reach_command import contact_reach
 
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.cli import main
 
 
 def test_a_urdf_is_checked_and_written_as_a_table(tmp_path, capsys):
     (tmp_path / "arm.urdf").write_text(build_urdf(ARM))
     table = tmp_path / "table.yaml"
-    with pytest.raises(SystemExit) as ended:
-        main(["arm", "check", str(tmp_path / "arm.urdf"), "--table", str(table)])
+    assert contact_reach("arm", "check", tmp_path / "arm.urdf", "--table", table) == 0
     said = capsys.readouterr().out
-    assert ended.value.code == 0
     for expected in ("7 joints from lbr_link_0 to lbr_link_ee", "assumed: home"):
         assert expected in said.replace("\n", " ")
     assert load_arm(str(table)).joint_names == ARM.joint_names
@@ -22,6 +19,5 @@ def test_a_urdf_is_checked_and_written_as_a_table(tmp_path, capsys):
 
 def test_what_is_refused_ends_with_the_message(tmp_path, capsys):
     (tmp_path / "arm.urdf").write_text(build_urdf(ARM).replace("revolute", "prismatic", 1))
-    with pytest.raises(SystemExit) as ended:
-        main(["arm", "check", str(tmp_path / "arm.urdf")])
-    assert ended.value.code == 2 and "is of type prismatic" in capsys.readouterr().err
+    assert contact_reach("arm", "check", tmp_path / "arm.urdf") == 2
+    assert "is of type prismatic" in capsys.readouterr().err

@@ -2,11 +2,10 @@
 
 import ast
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from contact_reach_command import python
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
@@ -22,14 +21,6 @@ EXPECTED = {
 }
 """What each prints."""
 LONG = set(EXPECTED) - {"plan_once.py"}
-
-
-def run(program: str, directory: Path, arguments: list[str]) -> str:
-    """What a program prints."""
-    command = [sys.executable, "-c", program, *arguments]
-    result = subprocess.run(command, cwd=directory, capture_output=True, text=True, timeout=600)
-    assert result.returncode == 0, f"{result.stdout}\n{result.stderr}"
-    return result.stdout
 
 
 def blocks(page: str, language: str = "python") -> list[str]:
@@ -51,7 +42,7 @@ def test_every_example_is_run_and_short_and_explains_itself():
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in EXPECTED]
 )
 def test_example(name, tmp_path):
-    printed = run((EXAMPLES / name).read_text(), tmp_path, ARGUMENTS.get(name, []))
+    printed = python((EXAMPLES / name).read_text(), *ARGUMENTS.get(name, []), cwd=tmp_path)
     assert re.search(EXPECTED[name], printed, re.DOTALL), printed
     if name == "plan_once.py":
         assert (tmp_path / "plan.png").stat().st_size > 10_000
@@ -63,10 +54,10 @@ def test_example(name, tmp_path):
 def test_program_of_the_library_page_reaches_its_goal(tmp_path):
     program = blocks("docs/library.md")[0]
     assert program in blocks("README.md")
-    *_, last = run(program, tmp_path, []).splitlines()
+    *_, last = python(program, cwd=tmp_path).splitlines()
     assert last.startswith("True ")
 
 
 def test_blocks_of_the_page_on_extending_run(tmp_path):
     (tmp_path / "my_scene.yaml").write_text(blocks("docs/extending.md", "yaml")[0])
-    run("\n".join(blocks("docs/extending.md")), tmp_path, [])
+    python("\n".join(blocks("docs/extending.md")), cwd=tmp_path)

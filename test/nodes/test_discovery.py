@@ -1,9 +1,7 @@
 """How far the nodes can be heard: nothing leaves this host unless somebody asks for it."""
 
-import subprocess
-import sys
-
 import pytest
+from contact_reach_command import python
 from stack_helpers import environment
 
 from contact_reach_ros.bringup.processes import BringupOptions
@@ -27,10 +25,7 @@ with bare_node("test", *sys.argv[1:]):
 
 def talk(*choice):
     """Addresses of the sockets of a process with a node, and what `reach` finds there."""
-    command = [sys.executable, "-c", TALK, *choice]
-    result = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=60)
-    assert result.returncode == 0, result.stderr
-    *addresses, reach = result.stdout.splitlines()
+    *addresses, reach = python(TALK, *choice, env=environment()).splitlines()
     return set(addresses), reach
 
 

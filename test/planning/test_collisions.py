@@ -11,6 +11,7 @@ from arm_simulation import ARM, HOME, random_states
 from contact_reach_ros.arm.capsules import pair_distances, self_pairs, shape_radii, shape_segments
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.obstacles import BLOCKS, PLANES, check_motion, nearest_bodies
+from contact_reach_ros.planning.settings import ReplanningSettings
 from contact_reach_ros.planning.transfer.clearance import intrusion
 from contact_reach_ros.planning.transfer.dynamics import link_frames, place_capsules
 from contact_reach_ros.planning.transfer.lanes import make_keep
@@ -105,10 +106,13 @@ def test_a_motion_into_a_body_is_refused_with_numbers_and_one_out_of_it_is_not()
     check_motion(ARM, up[::-1], (Plane("floor", (0.0, 0.0, 0.2)),))
 
 
+TEN_A_SECOND = ReplanningSettings(period=0.1)
+
+
 def stack_for(planner, environment: Environment, goal: Goal, start: np.ndarray = HOME) -> Stack:
     """A stack with the shared planner; its simulated robot has contact with rigid bodies and itself."""
     scene = Scene("test", ARM, 0, start, np.array(goal.position), environment=environment)
-    return Stack(scene, planner=planner)
+    return Stack(scene, planner=planner, replanning=TEN_A_SECOND)
 
 
 @pytest.mark.parametrize(

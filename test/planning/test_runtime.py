@@ -1,8 +1,8 @@
 """How JAX is started; in processes of their own, because a backend starts only once."""
 
 import os
-import subprocess
-import sys
+
+from contact_reach_command import python
 
 SCRIPT = """
 import os, sys
@@ -22,10 +22,7 @@ print(sum("XLAEigen" in name for name in names), os.environ.get("NPROC"), missed
 def start(cache) -> list[str]:
     """Number of worker threads, what children inherit, and whether a program was compiled."""
     environment = {key: value for key, value in os.environ.items() if key not in ("NPROC", "XLA_FLAGS")}
-    command = [sys.executable, "-c", SCRIPT, str(cache)]
-    return subprocess.run(
-        command, env=environment, stdout=subprocess.PIPE, text=True, check=True, timeout=120
-    ).stdout.split()
+    return python(SCRIPT, str(cache), env=environment).split()
 
 
 def test_one_worker_thread_computes_and_the_next_process_finds_the_programs(tmp_path):

@@ -2,19 +2,12 @@
 
 import numpy as np
 from arm_simulation import ARM, HOME, TICK_NS
+from test_planner import touch
 
-from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.planning.planner import ContactReaction
 from contact_reach_ros.planning.settings import UnexpectedContactSettings
 from contact_reach_ros.world.collision import clearances
 from contact_reach_ros.world.spheres import Spheres
-
-
-def touch(force: float = 10.0) -> Contact:
-    """Near the end of the last link's axis, across it."""
-    flange, rotation = RobotModel(ARM).tip_pose(HOME)
-    return Contact("lbr_link_7", flange - 0.02 * rotation[:, 2], force * rotation[:, 0], 0.0)
 
 
 def reaction(kind: str) -> ContactReaction:

@@ -1,9 +1,9 @@
 """Bags are re-executed and reported where neither rclpy nor a message package can be imported."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
+
+from contact_reach_command import python
 
 from contact_reach_ros.resources import share_directory
 
@@ -40,11 +40,8 @@ def test_bags_are_reexecuted_and_reported(tmp_path: Path) -> None:
         ["reexecute", SAMPLE, "--plan", "3", "--json", plan],
         ["report", SAMPLE, "-o", page],
     ]
-    command = [sys.executable, "-c", WITHOUT_ROS, json.dumps(commands)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr + done.stdout
-    assert "Traceback" not in done.stderr
-    assert "identical" in done.stdout and "EQUAL within tolerances" in done.stdout
+    printed = python(WITHOUT_ROS, json.dumps(commands))
+    assert "identical" in printed and "EQUAL within tolerances" in printed
     found = json.loads(Path(loops).read_text())
     assert found["controller"]["identical"] and found["observer"]["identical"]
     solved = json.loads(Path(plan).read_text())["plan"]
