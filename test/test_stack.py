@@ -17,7 +17,7 @@ from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
-from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.errors import InputError, SettingsError, StopCode
 from contact_reach_ros.planning.plan import PlanningCore
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -179,9 +179,9 @@ class TestStop:
         stack.command(GOAL)
         stack.step()
         assert stack.planner.goal is not None
-        stack.controller.stop("enough")
+        stack.stop("enough")
         ticks = [stack.step() for _ in range(200)]
-        assert stack.stop_reason == "enough"
+        assert stack.stop_reason == "enough" and stack.stop_reason.code is StopCode.REQUEST
         assert stack.planner.goal is None
         assert all(tick.plan is None for tick in ticks)
         stack.reset()

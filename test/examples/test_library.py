@@ -1,14 +1,10 @@
 """`Stack` as a user of the library meets it: wrong uses are refused in words, and stops are released."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from plans import StayingCore
 
 import contact_reach_ros as cr
-from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.errors import StopCode
 
 ARM = cr.load_arm("iiwa14")
 NEAR = [0.5, 0.2, 0.3]
@@ -84,20 +80,6 @@ def test_what_is_no_goal_is_refused(stack):
         stack.run(cr.Goal(NEAR), timeout=0)
 
 
-def test_stop_is_kept_until_the_arm_rests_and_is_reset(stack):
-    stack.settle()
-    stack.stop("lunch")
-    assert stack.stop_reason == "lunch" and stack.stop_reason.code is StopCode.REQUEST
-    stack.step()
-    assert stack.controller.mode is Mode.STOPPED
-    stack.reset()
-    assert stack.stop_reason == "" and stack.controller.mode is Mode.HOLDING
-    before = stack.tip_position
-    for _ in range(500):
-        stack.step()
-    assert stack.stop_reason == "" and np.linalg.norm(stack.tip_position - before) < 2e-3
-
-
 def test_reset_releases_the_observer_and_refuses_what_it_cannot_release(stack):
     stack.settle()
     stack.observer.stop("pushed")
@@ -110,23 +92,3 @@ def test_reset_releases_the_observer_and_refuses_what_it_cannot_release(stack):
     stack.robot.drive.stop("too fast")
     with pytest.raises(cr.ContactReachError, match=r"the robot stopped the arm \(too fast\): reset the robot first"):
         stack.reset()
-
-
-def test_planning_once_leaves_the_stack_as_it_was(scene):
-    small = cr.PlanningSettings(population=32, line_search_points=16, max_steps=3, deadline=0.0)
-    core = cr.make_planner(ARM, 1, planning=small).core
-    plans, ahead = [], []
-    for looks_ahead in (False, True):
-        stack = cr.Stack(scene, planner=core)
-        stack.warm_up()
-        stack.command(cr.Goal(scene.target))
-        for step in range(100):
-            if looks_ahead and step % 50 == 20:
-                ahead.append(stack.plan(cr.Goal([0.5, -0.2, 0.4])))
-            plan = stack.step().plan
-            if plan is not None:
-                plans.append(dataclasses.replace(plan, number=0, solve_s=0.0))
-    assert len(ahead) == 2 and len(plans) % 2 == 0
-    for plan, again in zip(plans[: len(plans) // 2], plans[len(plans) // 2 :], strict=True):
-        np.testing.assert_array_equal(plan.positions, again.positions)
-        assert plan.cost == again.cost
