@@ -123,15 +123,10 @@ def stack_for(planner, environment: Environment, goal: Goal, start: np.ndarray =
     ],
 )
 def test_the_arm_touches_neither_a_table_in_its_way_nor_itself(planner, environment, start, goal, largest):
-    stack, distances = stack_for(planner, environment, goal, start), []
-
-    def watch(_) -> None:
-        q = stack.robot.plant.data.qpos[None, : ARM.n]
-        distances.append(nearest(ARM, q, environment)[0].distance)
-
-    result = stack.run(goal, 8.0, watch)
+    stack, postures = stack_for(planner, environment, goal, start), []
+    result = stack.run(goal, 8.0, lambda _: postures.append(stack.robot.plant.data.qpos[: ARM.n].copy()))
     assert result.reached and result.max_contact_force == 0.0
-    assert 0.005 < min(distances) < largest
+    assert 0.005 < min(pair.distance for pair in nearest(ARM, np.array(postures), environment)) < largest
 
 
 def test_a_plan_that_leads_into_a_body_is_refused(planner, monkeypatch):
