@@ -1,4 +1,4 @@
-"""`contact-reach bag info` and `contact-reach bag repair`."""
+"""`contact-reach bag info`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,8 @@ from rich.table import Table
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import LOST, RecordedTopic
-from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.timing import NANOSECONDS
-
-REPAIRED_FROM = "repaired_from"
-"""Key of the custom data that names the bag which was repaired."""
 
 _WIDE = 150
 """Width of the table where the output is no terminal, characters."""
@@ -99,36 +95,6 @@ def bag_info(path: Path, file: Path | None, console: Console | None = None) -> N
             console.print(f"  {key}: {shown}", highlight=False, markup=False)
     for note in info["notes"]:
         console.print(f"note: {note}", style="yellow", highlight=False, markup=False)
-
-
-def repair_bag(bag: Path, output: Path | None = None) -> None:
-    """Write all messages that can be read into a new bag, and print what it lacks; the old one stays unchanged.
-
-    Raises `BagError` if nothing can be read, or the new bag exists or cannot be written.
-
-    Parameters
-    ----------
-    bag :
-        A bag, or one of its files.
-    output :
-        Directory to create; when None, the old bag's name with "_repaired" appended.
-    """
-    reader = BagReader(bag)
-    whole = bag.resolve()
-    output = output or whole.with_name(f"{whole.name if bag.is_dir() else whole.stem}_repaired")
-    topics, left_out = [], []
-    with BagWriter(output, custom_data={**reader.custom_data, REPAIRED_FROM: whole.name}) as writer:
-        for topic in reader.topics.values():
-            try:
-                writer.add_topic(topic, reader.definition(topic.type))
-                topics.append(topic.name)
-            except BagError as error:
-                left_out.append(f"topic '{topic.name}' is left out: {error}")
-        for raw in reader.raw_messages(topics):
-            writer.write(raw.topic, raw.data, raw.log_time_ns, raw.publish_time_ns, raw.sequence)
-    for note in (*reader.notes, *left_out):
-        print(f"note: {note}")
-    print(f"{writer.message_count} messages of {len(topics)} topics are in {writer.directory}")
 
 
 def _table(topics: Sequence[Mapping[str, Any]]) -> Table:

@@ -17,8 +17,6 @@ LOST = "messages_lost"
 """Key of a bag's custom data for the number of lost messages; with a topic's name appended, those of that topic."""
 CDR = "cdr"
 """Serialisation of ROS 2 messages."""
-METADATA, INFORMATION = "metadata.yaml", "rosbag2_bagfile_information"
-"""File of a bag, and its key."""
 MCAP_NAME, MCAP_KEY = "rosbag2", "serialized_metadata"
 """Record and key under which rosbag2 keeps a copy of the metadata inside the mcap file."""
 
@@ -57,25 +55,6 @@ def written_qos(offered: Iterable[OfferedQos]) -> list[dict[str, Any]]:
         "avoid_ros_namespace_conventions": False,
     }
     return [dataclasses.asdict(qos) | rest for qos in offered]
-
-
-@dataclasses.dataclass(frozen=True)
-class TypeDefinition:
-    """Definition of a message type.
-
-    Attributes
-    ----------
-    encoding :
-        Language of the text, "ros2msg" or "ros2idl".
-    text :
-        The definition, followed by those of the types it contains.
-    type_hash :
-        RIHS01_<64 hexadecimal digits>, or empty.
-    """
-
-    encoding: str
-    text: bytes
-    type_hash: str
 
 
 @dataclasses.dataclass(frozen=True)

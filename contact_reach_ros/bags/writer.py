@@ -12,21 +12,15 @@ from typing import Any, Self
 import yaml
 from mcap.writer import CompressionType, Writer
 
-from contact_reach_ros.bags.message_types import MessageTypes
-from contact_reach_ros.bags.topics import (
-    INFORMATION,
-    MCAP_KEY,
-    MCAP_NAME,
-    METADATA,
-    RecordedTopic,
-    TypeDefinition,
-    written_qos,
-)
+from contact_reach_ros.bags.message_types import standard_definition
+from contact_reach_ros.bags.topics import MCAP_KEY, MCAP_NAME, ROS2MSG, RecordedTopic, written_qos
 from contact_reach_ros.errors import BagError
 
 CHUNK_BYTES = 2 * 1024 * 1024
 """More than a second of the stack, so that only `flush` ends a chunk. mcap keeps an index entry of about 1.5 kB for
 each chunk in memory until the file is closed: with two chunks a second, 2 MB in ten minutes."""
+METADATA, INFORMATION = "metadata.yaml", "rosbag2_bagfile_information"
+"""File of a bag, and its key."""
 VERSION, ROS_DISTRO = 9, "jazzy"
 """Of the metadata."""
 
@@ -69,7 +63,6 @@ class BagWriter:
         self.directory = Path(directory)
         self._custom_data = dict(custom_data or {})
         self._custom_data_written = True
-        self._types = MessageTypes()
         self._channels: dict[str, _Channel] = {}
         self._schema_ids: dict[str, int] = {}
         self._file = f"{self.directory.resolve().name}_0.mcap"
@@ -108,30 +101,20 @@ class BagWriter:
             self._custom_data[key] = value
             self._custom_data_written = False
 
-    def add_topic(self, topic: RecordedTopic, definition: TypeDefinition | None = None) -> None:
+    def add_topic(self, topic: RecordedTopic) -> None:
         """Add a topic, whose messages can be written from now on.
 
-        Raises `BagError` if the topic is already in the bag, its type is unknown, or the bag is closed.
-
-        Parameters
-        ----------
-        topic :
-            Name, type, quality of service and encoding.
-        definition :
-            Definition of its type; looked up among the standard types and the sourced workspaces when None.
+        Raises `BagError` if the type is none of ROS's own, or the bag is closed.
         """
         if self._closed:
             raise BagError(f"bag '{self.directory}' is closed: topic '{topic.name}' cannot be added")
-        if topic.name in self._channels:
-            raise BagError(f"bag '{self.directory}': topic '{topic.name}' is added twice")
-        definition = definition or self._types.definition(topic.type)
+        text, type_hash = standard_definition(topic.type)
         if topic.type not in self._schema_ids:
-            schema_id = self._writer.register_schema(topic.type, definition.encoding, definition.text)
-            self._schema_ids[topic.type] = schema_id
+            self._schema_ids[topic.type] = self._writer.register_schema(topic.type, ROS2MSG, text)
         profiles = _dump_yaml(written_qos(topic.offered_qos))
-        about = {"offered_qos_profiles": profiles, "topic_type_hash": definition.type_hash}
+        about = {"offered_qos_profiles": profiles, "topic_type_hash": type_hash}
         number = self._writer.register_channel(topic.name, topic.encoding, self._schema_ids[topic.type], about)
-        self._channels[topic.name] = _Channel(topic, definition.type_hash, number)
+        self._channels[topic.name] = _Channel(topic, type_hash, number)
 
     def write(
         self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None, sequence: int = 0

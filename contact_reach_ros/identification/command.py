@@ -22,7 +22,7 @@ from contact_reach_ros.identification.identify import Identification, identify
 from contact_reach_ros.identification.recording import Recording, make_recording
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import ObserverSettings
-from contact_reach_ros.reexecution.settings import BUDGET, recorded_sections
+from contact_reach_ros.reexecution.inputs import BUDGET, recorded_sections
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import DEFAULT_PARAMETERS, Settings, full_name, read_yaml
 from contact_reach_ros.timing import NANOSECONDS

@@ -1,4 +1,4 @@
-"""The recorder: writes the robot's topics to a bag, without decoding their messages, until it is stopped."""
+"""The recorder: writes the topics of the stack to a bag until it is stopped."""
 
 from __future__ import annotations
 
@@ -14,13 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import get_rmw_implementation_identifier
-from rclpy.validate_topic_name import validate_topic_name
 
 from contact_reach_ros.bags.settings import MEGA, RECORDER_SECTIONS, RecorderSettings, shortage_in
 from contact_reach_ros.bags.topics import LOST, OfferedQos, RecordedTopic, check_type_name
@@ -28,7 +26,7 @@ from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import stamp_in
-from contact_reach_ros.resources import git_revision, versions
+from contact_reach_ros.resources import versions
 from contact_reach_ros.ros.inbox import LoopGroup
 from contact_reach_ros.ros.lockstep import FOREVER_NS
 from contact_reach_ros.ros.managed_node import ManagedNode
@@ -67,8 +65,9 @@ class RecorderNode(ManagedNode):
         settings: RecorderSettings = self.settings[""]
         directory = Path(settings.bag or f"contact_reach_{datetime.datetime.now():%Y_%m_%d-%H_%M_%S}")
         self._ended_early = ""
-        wanted = [self._resolved(name) for name in settings.topics or [topic.name for topic in topics.ALL]]
-        custom_data = _provenance() | settings.texts()
+        wanted = [self.resolve_topic_name(topic.name) for topic in topics.ALL]
+        made_by = yaml.safe_dump({**versions(), "rmw": get_rmw_implementation_identifier()})
+        custom_data = {"versions": made_by, **settings.texts()}
         shortage = shortage_in(directory)
         if shortage:
             raise BagError(f"bag '{directory}' is not begun: {shortage}")
@@ -99,13 +98,6 @@ class RecorderNode(ManagedNode):
         with self._lock:
             if self._recorder is not None:
                 self._record(self._recorder)
-
-    def _resolved(self, name: str) -> str:
-        try:
-            validate_topic_name(name)
-        except InvalidTopicNameException as error:
-            raise BagError(f"parameter topics: '{name}' is no topic name; expected one, without a type") from error
-        return self.resolve_topic_name(name)
 
     def _record(self, recorder: TopicRecorder) -> None:
         now = time.monotonic()
@@ -140,13 +132,6 @@ class RecorderNode(ManagedNode):
         size = sum(file.stat().st_size for file in directory.iterdir()) / MEGA
         line = f"recorded {written} messages ({recorder.lost} lost), {size:.1f} MB, in {directory}"
         self.get_logger().info(line)
-
-
-def _provenance() -> dict[str, str]:
-    """Return the versions that record, as custom data."""
-    made_by = {"versions": yaml.safe_dump({**versions(), "rmw": get_rmw_implementation_identifier()})}
-    revision = git_revision()
-    return made_by if revision is None else {**made_by, "git_revision": revision}
 
 
 class LossCounter:

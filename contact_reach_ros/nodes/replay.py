@@ -39,7 +39,7 @@ _STALLED_NS = 500_000_000
 def make_parser() -> argparse.ArgumentParser:
     """Make the parser of the options of `run_replay`."""
     parser = argparse.ArgumentParser(prog=REPLAY, description="Publishes a bag's messages under /replay.")
-    parser.add_argument("bag", type=Path, metavar="BAG", help="a directory with metadata.yaml, or one mcap file")
+    parser.add_argument("bag", type=Path, metavar="BAG", help="a directory, or one mcap file")
     parser.add_argument("--rate", type=float, default=1.0, help="recorded time per time, 0.01 to 100 (default: 1)")
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="skip the first seconds (default: 0)")
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="publish these recorded topics only")

@@ -147,7 +147,6 @@ def test_everything_published_is_in_the_bag(recorder: Recorder) -> None:
         "parameter_file": "planner: {}\n# γ\n",
     }
     assert yaml.safe_load(kept["versions"])["rmw"] == rclpy.get_rmw_implementation_identifier()
-    assert re.fullmatch("[0-9a-f]{40}(-dirty)?", kept.get("git_revision", "0" * 40))
 
 
 def test_publisher_that_offers_less_is_heard_as_well(recorder: Recorder) -> None:
@@ -167,30 +166,32 @@ def test_publisher_that_offers_less_is_heard_as_well(recorder: Recorder) -> None
 
 
 def test_killed_recorder_leaves_what_it_had_flushed(recorder: Recorder) -> None:
-    recorder.start("topics:=[text]", "custom_data:=[seed=5]")
-    texts = recorder.publisher(String, "text", RELIABLE)
+    recorder.start("custom_data:=[seed=5]")
+    texts = recorder.publisher(String, "robot_description", RELIABLE)
     for count in range(50):
         texts.publish(String(data=str(count)))
     acknowledged(texts)
 
     def flushed() -> int:
         try:
-            return BagReader(recorder.directory).message_count
-        except BagError:
+            return BagReader(recorder.directory).topics["/robot_description"].message_count
+        except (BagError, KeyError):
             return 0
 
     recorder.until(lambda: flushed() == 50, "the messages in the file")
     recorder.end(signal.SIGKILL)
     reader = BagReader(recorder.directory)
-    assert [item.message.data for item in reader.messages()] == [str(count) for count in range(50)]
+    assert [item.message.data for item in reader.messages(["/robot_description"])] == [
+        str(count) for count in range(50)
+    ]
     assert reader.custom_data["seed"] == "5"
-    assert len(reader.notes) == 2
+    assert len(reader.notes) == 1
 
 
 def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free = shutil.disk_usage(tmp_path)
     monkeypatch.setattr("shutil.disk_usage", lambda _: free)
-    arguments = ["--ros-args", "-p", f"bag:={tmp_path / 'bag'}", "-p", "topics:=[text]"]
+    arguments = ["--ros-args", "-p", f"bag:={tmp_path / 'bag'}"]
     rclpy.init(args=arguments, domain_id=fresh_domain())
     try:
         node = RecorderNode()
