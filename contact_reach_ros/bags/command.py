@@ -53,13 +53,11 @@ def _topic_info(topic: RecordedTopic, times_ns: NDArray[np.int64], custom_data: 
     steps = np.diff(np.sort(times_ns)) / NANOSECONDS
     gap = float(steps.max()) if len(steps) else None
     lost = custom_data.get(f"{LOST}{topic.name}", "0") if custom_data.get(LOST, "").isdigit() else ""
-    words = {profile.reliability.replace("_", " ") for profile in topic.offered_qos}
-    latched = any(profile.durability == "transient_local" for profile in topic.offered_qos)
     return {
         "name": topic.name,
         "type": topic.type,
         "message_count": topic.message_count,
-        "qos": ", ".join([*sorted(words, reverse=True), *(["latched"] if latched else [])]) or "not known",
+        "latched": topic.latched,
         "rate_hz": len(steps) / float(steps.sum()) if gap else None,
         "longest_gap_s": gap,
         "lost": int(lost) if lost.isdigit() else None,
@@ -103,7 +101,7 @@ def _table(topics: Sequence[Mapping[str, Any]]) -> Table:
         table.add_column(name, overflow="fold")
     for name in ("messages", "Hz", "longest gap ms", "lost"):
         table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("QoS", no_wrap=True)
+    table.add_column("latched", no_wrap=True)
     for topic in topics:
         rate, gap = topic["rate_hz"], topic["longest_gap_s"]
         lost = "?" if topic["lost"] is None else str(topic["lost"])
@@ -114,6 +112,6 @@ def _table(topics: Sequence[Mapping[str, Any]]) -> Table:
             "-" if rate is None else f"{rate:.1f}",
             "-" if gap is None else f"{1e3 * gap:.1f}",
             f"[red]{lost}[/]" if topic["lost"] else lost,
-            topic["qos"],
+            "yes" if topic["latched"] else "",
         )
     return table

@@ -13,7 +13,7 @@ import yaml
 
 from contact_reach_ros.bags.mcap_file import McapFile
 from contact_reach_ros.bags.message_types import Decoder
-from contact_reach_ros.bags.topics import MCAP_KEY, MCAP_NAME, RecordedTopic, read_offered_qos
+from contact_reach_ros.bags.topics import MCAP_KEY, MCAP_NAME, RecordedTopic, is_latched
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -161,8 +161,8 @@ class BagReader:
             for number, channel in file.channels.items():
                 name, schema = channel.topic, file.schemas.get(channel.schema_id)
                 kind = schema.name if schema else ""
-                offered_qos = read_offered_qos(channel.metadata.get("offered_qos_profiles", ""))
-                known = topics.get(name, RecordedTopic(name, kind, offered_qos, channel.message_encoding))
+                latched = is_latched(channel.metadata.get("offered_qos_profiles", ""))
+                known = topics.get(name, RecordedTopic(name, kind, latched=latched, encoding=channel.message_encoding))
                 if known.type != kind:
                     raise BagError(f"{file.path}: topic '{name}' has both type {known.type} and {kind}, expected one")
                 count = known.message_count + file.message_counts[number]

@@ -111,7 +111,7 @@ class BagWriter:
         text, type_hash = standard_definition(topic.type)
         if topic.type not in self._schema_ids:
             self._schema_ids[topic.type] = self._writer.register_schema(topic.type, ROS2MSG, text)
-        profiles = _dump_yaml(written_qos(topic.offered_qos))
+        profiles = _dump_yaml(written_qos(topic))
         about = {"offered_qos_profiles": profiles, "topic_type_hash": type_hash}
         number = self._writer.register_channel(topic.name, topic.encoding, self._schema_ids[topic.type], about)
         self._channels[topic.name] = _Channel(topic, type_hash, number)
@@ -231,7 +231,7 @@ class BagWriter:
                         "name": channel.topic.name,
                         "type": channel.topic.type,
                         "serialization_format": channel.topic.encoding,
-                        "offered_qos_profiles": written_qos(channel.topic.offered_qos),
+                        "offered_qos_profiles": written_qos(channel.topic),
                         "type_description_hash": channel.type_hash,
                     },
                     "message_count": channel.message_count,

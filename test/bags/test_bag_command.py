@@ -11,7 +11,7 @@ from rich.console import Console
 from std_msgs.msg import String
 
 from contact_reach_ros.bags.command import bag_info
-from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic
+from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 
 MS = 1_000_000
@@ -20,7 +20,7 @@ MS = 1_000_000
 @pytest.fixture
 def bag(tmp_path: Path) -> Path:
     """1 kHz with a gap of 0.5 s, one message that is late, and a topic of two messages."""
-    stream = RecordedTopic("/stream", "std_msgs/msg/String", (OfferedQos(reliability="best_effort"),))
+    stream = RecordedTopic("/stream", "std_msgs/msg/String", latched=True)
     rare = RecordedTopic("/rare", "std_msgs/msg/String")
     lost = {"messages_lost": "3", "messages_lost/stream": "3", "scene": "ball"}
     with BagWriter(tmp_path / "bag", [stream, rare], custom_data=lost) as writer:
@@ -43,7 +43,7 @@ def test_info_has_rates_gaps_and_lost_messages(bag: Path, capsys: pytest.Capture
     assert (stream["name"], stream["message_count"], stream["lost"]) == ("/stream", 1000, 3)
     assert stream["longest_gap_s"] == pytest.approx(0.501)
     assert stream["rate_hz"] == pytest.approx(999 / 1.499)
-    assert (stream["qos"], rare["qos"], rare["lost"]) == ("best effort", "not known", 0)
+    assert (stream["latched"], rare["latched"], rare["lost"]) == (True, False, 0)
     assert rare["rate_hz"] == pytest.approx(5.0)
 
 
