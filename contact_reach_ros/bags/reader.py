@@ -72,17 +72,13 @@ class BagReader:
         if not paths:
             raise BagError(f"'{self.path}' is no bag with mcap files; `ros2 bag convert` can convert other recordings")
         self._files = self._open(paths)
-        information = self._read_information()
-        if str(information.get("compression_mode")).lower() == "message":
-            raise BagError(f"the messages of bag '{self.path}' are compressed; `ros2 bag convert` can convert it")
         if of_stack:
             self._leave_namespace()
         self.topics = self._read_topics()
         spans = [file.span_ns for file in self._files if file.span_ns is not None]
         self.start_ns = min((start for start, _ in spans), default=0)
         self.duration = (max((end for _, end in spans), default=0) - self.start_ns) / NANOSECONDS
-        kept = information.get("custom_data")
-        self.custom_data = {str(key): str(value) for key, value in kept.items()} if isinstance(kept, dict) else {}
+        self.custom_data = self._read_custom_data()
         schemas = {schema.name: schema for file in self._files for schema in file.schemas.values()}
         self._decoder = Decoder(self.topics, schemas)
 
@@ -169,8 +165,8 @@ class BagReader:
                 topics[name] = dataclasses.replace(known, message_count=count)
         return topics
 
-    def _read_information(self) -> Mapping[str, Any]:
-        """Return rosbag2's metadata, of which each file has a copy, from the last that has one; empty if none has."""
+    def _read_custom_data(self) -> dict[str, str]:
+        """Return what rosbag2's metadata holds, of which each file has a copy, from the last that has one."""
         for file in reversed(self._files):
             try:
                 content = yaml.safe_load(file.metadata.get(MCAP_NAME, {}).get(MCAP_KEY, ""))
@@ -178,7 +174,8 @@ class BagReader:
                 self._notes.append(f"the metadata inside {file.path.name} cannot be read: {error}")
                 continue
             if isinstance(content, dict):
-                return content
+                kept = content.get("custom_data")
+                return {str(key): str(value) for key, value in kept.items()} if isinstance(kept, dict) else {}
         return {}
 
 

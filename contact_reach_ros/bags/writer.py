@@ -37,7 +37,7 @@ class BagWriter:
     """A bag that is being written: a directory with metadata.yaml and one mcap file.
 
     Use it from one thread. Leaving the `with` block, or `close`, completes the bag; after a crash, what was flushed
-    can still be read. Raises `BagError` if the directory exists or cannot be written, or a type is unknown.
+    can still be read. Raises `BagError` if the directory exists or cannot be written.
 
     Parameters
     ----------
@@ -88,7 +88,6 @@ class BagWriter:
             raise BagError(f"bag '{self.directory}' cannot be created: {error.strerror}") from error
         for topic in topics:
             self.add_topic(topic)
-        self.flush()
 
     @property
     def message_count(self) -> int:
@@ -102,12 +101,7 @@ class BagWriter:
             self._custom_data_written = False
 
     def add_topic(self, topic: RecordedTopic) -> None:
-        """Add a topic, whose messages can be written from now on.
-
-        Raises `BagError` if the type is none of ROS's own, or the bag is closed.
-        """
-        if self._closed:
-            raise BagError(f"bag '{self.directory}' is closed: topic '{topic.name}' cannot be added")
+        """Add a topic of a type that is ROS's own; its messages can be written from now on."""
         text, type_hash = standard_definition(topic.type)
         if topic.type not in self._schema_ids:
             self._schema_ids[topic.type] = self._writer.register_schema(topic.type, ROS2MSG, text)
@@ -119,7 +113,7 @@ class BagWriter:
     def write(
         self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None, sequence: int = 0
     ) -> None:
-        """Append a message; raises `BagError` if the topic was not added, the bag is closed, or it cannot be written.
+        """Append a message; raises `BagError` if it cannot be written.
 
         Parameters
         ----------
@@ -132,38 +126,28 @@ class BagWriter:
         sequence :
             The publisher's number of the message, 0 if unknown.
         """
-        channel = self._channels.get(topic)
-        sequence &= 0xFFFFFFFF
-        if channel is None or self._closed:
-            reason = "it is closed" if self._closed else "add the topic first"
-            raise BagError(f"bag '{self.directory}' cannot take a message of '{topic}': {reason}")
+        channel = self._channels[topic]
         if publish_time_ns is None:
             publish_time_ns = log_time_ns
         try:
-            self._writer.add_message(channel.number, log_time_ns, data, publish_time_ns, sequence)
+            self._writer.add_message(channel.number, log_time_ns, data, publish_time_ns, sequence & 0xFFFFFFFF)
         except OSError as error:
             raise self._refused(error) from error
         channel.message_count += 1
         first_ns, last_ns = self._span_ns or (log_time_ns, log_time_ns)
         self._span_ns = min(first_ns, log_time_ns), max(last_ns, log_time_ns)
 
-    def flush(self, durable: bool = False) -> None:
+    def flush(self) -> None:
         """Pass everything written so far to the operating system, so that it survives if the process is killed.
 
-        Raises `BagError` if this, or the disk's writing that an earlier call started, fails.
-
-        Parameters
-        ----------
-        durable :
-            Also start writing it to the disk, so that it survives a power cut; this finishes after the call returns.
+        It also starts to write to the disk, so that it survives a power cut; that finishes after the call returns.
+        Raises `BagError` if either fails, the disk by the next call.
         """
-        if self._closed:
-            return
         try:
             if not self._custom_data_written:
                 self._add_information()
             self._writer.flush()
-            if durable and (self._syncing is None or self._syncing.done()):
+            if self._syncing is None or self._syncing.done():
                 self._wait_for_disk()
                 self._syncing = self._disk.submit(os.fdatasync, self._stream.fileno())
         except OSError as error:

@@ -253,7 +253,7 @@ class TopicRecorder:
     def flush(self) -> None:
         """Note in the bag what was lost so far, and start writing it to the disk; raises `BagError` if that fails."""
         self._note_losses()
-        self.writer.flush(durable=True)
+        self.writer.flush()
 
     def stop(self) -> None:
         """Write what is still in transit, complete the bag and unsubscribe; raises `BagError` if writing fails."""

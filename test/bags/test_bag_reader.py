@@ -63,13 +63,6 @@ def test_bag_that_is_stored_otherwise(tmp_path: Path) -> None:
     for path, message in ((tmp_path, "no bag with mcap files; "), (tmp_path / "sample_0.db3", "is no mcap file .*")):
         with pytest.raises(BagError, match=f"{message}`ros2 bag convert`"):
             BagReader(path)
-    with (tmp_path / "sample_0.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="ros2")
-        writer.add_metadata("rosbag2", {"serialized_metadata": "compression_mode: MESSAGE"})
-        writer.finish()
-    with pytest.raises(BagError, match="are compressed; `ros2 bag convert`"):
-        BagReader(tmp_path)
 
 
 def test_bag_in_several_files_without_metadata(tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def test_what_is_to_survive_a_power_cut_is_handed_to_the_disk(tmp_path: Path, mo
     monkeypatch.setattr("os.fdatasync", lambda descriptor: synced.append(os.fstat(descriptor).st_size))
     with BagWriter(tmp_path / "bag", [TEXT]) as writer:
         writer.write("/text", text("x" * 1000), 1)
-        writer.flush(durable=True)
+        writer.flush()
         size = (writer.directory / "bag_0.mcap").stat().st_size
         assert size > 100
     assert synced == [size, (tmp_path / "bag" / "bag_0.mcap").stat().st_size]
