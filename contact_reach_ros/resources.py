@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TypeVar
 
-from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.errors import ContactReachError, InputError
 
 T = TypeVar("T")
 
@@ -103,6 +103,15 @@ def kept(parts: tuple[object, ...], make: Callable[[], T]) -> T:
         new.write_bytes(pickle.dumps(value))
         new.replace(file)
     return value
+
+
+def write_text(file: Path, text: str) -> None:
+    """Write a file that an option names, in a new folder if need be; raises `InputError` if it cannot be written."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"'{file}' cannot be written: {error.strerror}; name a file in a folder of yours") from error
 
 
 def versions() -> dict[str, str]:

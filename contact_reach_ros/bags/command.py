@@ -16,7 +16,7 @@ from rich.table import Table
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import LOST, RecordedTopic
-from contact_reach_ros.errors import BagError
+from contact_reach_ros.resources import write_text
 from contact_reach_ros.timing import NANOSECONDS
 
 _WIDE = 150
@@ -64,18 +64,15 @@ def _topic_info(topic: RecordedTopic, times_ns: NDArray[np.int64], custom_data: 
     }
 
 
-def bag_info(path: Path, file: Path | None, console: Console | None = None) -> None:
+def bag_info(path: Path, file: Path | None) -> None:
     """Print an overview of a bag, and write it as JSON if a file is given.
 
-    Raises `BagError` if nothing of it can be read, or the file cannot be written.
+    Raises `ContactReachError` if nothing of it can be read, or the file cannot be written.
     """
     info = read_info(path)
     if file is not None:
-        try:
-            file.write_text(json.dumps(info, indent=2) + "\n")
-        except OSError as error:
-            raise BagError(f"--json {file}: cannot be written ({error.strerror}); name a file that can be") from error
-    console = console or Console()
+        write_text(file, json.dumps(info, indent=2) + "\n")
+    console = Console()
     if not console.is_terminal:
         console.width = _WIDE
     start_ns = info["start_ns"]

@@ -12,6 +12,7 @@ from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.reexecution.inputs import RecordedInputs
 from contact_reach_ros.reexecution.loops import TOLERANCE, Reexecution, reexecute
+from contact_reach_ros.resources import write_text
 
 IDENTICAL, DIFFERENT = 0, 1
 
@@ -21,7 +22,7 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
 
     `plan` is the number of one to solve again, instead of controller and observer; `other` a parameter file with other
     settings of these; `file` takes the numbers as JSON. Raises `BagError` if the bag lacks what is needed,
-    `SettingsError` if settings are not accepted.
+    `SettingsError` if settings are not accepted, `InputError` if the file cannot be written.
     """
     reader = BagReader(bag, of_stack=True)
     inputs = RecordedInputs(reader)
@@ -46,7 +47,7 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
         for lacking in missing:
             print(f"note: {lacking}")
     if file is not None:
-        file.write_text(json.dumps(report, indent=2) + "\n")
+        write_text(file, json.dumps(report, indent=2) + "\n")
     return DIFFERENT if differs else IDENTICAL
 
 

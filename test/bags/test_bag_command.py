@@ -7,7 +7,6 @@ import pytest
 from conftest import SampleBag
 from contact_reach_command import contact_reach
 from rclpy.serialization import serialize_message
-from rich.console import Console
 from std_msgs.msg import String
 
 from contact_reach_ros.bags.command import bag_info
@@ -64,6 +63,6 @@ def test_no_bag_at_all_is_one_line(
 
 def test_bag_of_a_killed_recorder_is_shown_with_a_note(sample: SampleBag, capsys: pytest.CaptureFixture[str]) -> None:
     sample.file.write_bytes(sample.file.read_bytes()[:-50])
-    bag_info(sample.directory, None, Console(width=200))
+    bag_info(sample.directory, None)
     shown = capsys.readouterr().out
     assert "/goal_pose" in shown and "is cut or damaged" in shown
