@@ -88,7 +88,6 @@ setup(
         "console_scripts": [
             "contact-reach = contact_reach_ros.cli:main",
             *(f"{node} = contact_reach_ros.executables:{node}" for node in NODES),
-            "faults = contact_reach_ros.removed:removed_executable",
         ],
     },
 )

@@ -168,21 +168,16 @@ def _parser() -> argparse.ArgumentParser:
         "re-execute controller and observer, or the planner, on a bag, and report differences",
     )
     reexecute.add_argument("bag", type=Path, metavar="BAG", help="a bag: directory or mcap file")
-    reexecute.add_argument("--plan", type=int, metavar="N", help="solve plan number N again instead")
-    reexecute.add_argument("--with", dest="other", type=Path, metavar="FILE", help="parameter file with other settings")
+    what = reexecute.add_mutually_exclusive_group()
+    what.add_argument("--plan", type=int, metavar="N", help="solve plan number N again instead")
+    what.add_argument("--with", dest="other", type=Path, metavar="FILE", help="parameter file with other settings")
     _add_json(reexecute)
 
-    bag = commands.add_parser("bag", help="look into a recording, or repair it").add_subparsers(
-        required=True, metavar="WHAT"
-    )
+    bag = commands.add_parser("bag", help="look into a recording").add_subparsers(required=True, metavar="WHAT")
     info = bag.add_parser("info", help="topics, rates, gaps and lost messages of a bag")
-    info.add_argument("path", type=Path, metavar="BAG", help="a directory with metadata.yaml, or one mcap file")
+    info.add_argument("path", type=Path, metavar="BAG", help="a directory, or one mcap file")
     _add_json(info)
     info.set_defaults(run=_later("bags.command:bag_info"))
-    repair = bag.add_parser("repair", help="make a complete bag of what can be read of a damaged one")
-    repair.add_argument("bag", type=Path, metavar="BAG", help="a directory, or one mcap file; it is left as it is")
-    repair.add_argument("--output", type=Path, metavar="DIR", help="the new bag (default: BAG_repaired)")
-    repair.set_defaults(run=_later("bags.command:repair_bag"))
 
     fitness = _later("doctor.fitness:run_fitness")
     bench = add("bench", fitness, "how well this machine keeps the time of the running stack")

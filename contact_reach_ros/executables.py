@@ -8,51 +8,28 @@ from __future__ import annotations
 
 import ctypes
 import importlib
-import os
 import runpy
 import signal
 import sys
-import threading
 from functools import partial
-from types import FrameType
 
 from contact_reach_ros.settings import NODES, declared_parameters
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_watcher: threading.Thread | None = None
 _PR_SET_PDEATHSIG = 1
 
 
 def end_at_signals() -> None:
-    """End this process at SIGINT or SIGTERM, with exit code 0, until others are to handle them.
+    """Let SIGINT and SIGTERM end this process at once, until others are to handle them.
 
-    Imports and compilers keep the main thread from handling signals for seconds: another thread does it for that long.
+    The system does it, since imports and compilers keep Python from handling signals for seconds.
     """
-    global _watcher
-    for number in _SIGNALS:
-        signal.signal(number, _end)
-    if _watcher is None:
-        reader, writer = os.pipe()
-        os.set_blocking(writer, False)
-        signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-        _watcher = threading.Thread(target=_watch, args=[reader], name="starting", daemon=True)
-        _watcher.start()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def end_with_parent() -> None:
     """In a child: be ended by the kernel when its parent is killed, so that no orphan moves an arm."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    os._exit(0)
-
-
-def _watch(reader: int) -> None:
-    while data := os.read(reader, 1):
-        # A handler that was set meanwhile does more than end the process.
-        if signal.getsignal(data[0]) is _end:
-            os._exit(0)
 
 
 def _run(module: str) -> None:

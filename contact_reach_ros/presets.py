@@ -76,13 +76,6 @@ class Preset(NamedTuple):
     unexpected_contact: UnexpectedContactSettings
 
 
-def preset_file(name: str) -> Path:
-    """The parameter file that holds a preset; raises `SettingsError` if there is no preset of this name."""
-    if name not in PRESETS:
-        raise SettingsError(f"preset '{name}' is unknown; expected one of {', '.join(PRESETS)}")
-    return config_file(PRESETS[name])
-
-
 def preset(name: str, arm: Arm | None = None) -> Preset:
     """The settings of a preset, 'paper_linear', 'paper_hinge' or 'shipped', for an arm; None for the iiwa 14.
 
@@ -91,7 +84,9 @@ def preset(name: str, arm: Arm | None = None) -> Preset:
     # It compiles the controller's arithmetic.
     from contact_reach_ros.control.controller import ControllerSettings
 
-    file, arm = preset_file(name), arm or load_arm()
+    if name not in PRESETS:
+        raise SettingsError(f"preset '{name}' is unknown; expected one of {', '.join(PRESETS)}")
+    file, arm = config_file(PRESETS[name]), arm or load_arm()
 
     def settings(node: str, sections: Any) -> dict[str, Any]:
         return make_settings(parameters_in(file, node), sections, arm, str(file))

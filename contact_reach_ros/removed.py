@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 
 VERSION = "0.3.0"
@@ -22,6 +21,8 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "sensors.position_resolution": _NOT_TUNED + "1e-5 rad",
         "sensors.velocity_noise": _NOT_TUNED + "1e-3 rad/s, and mismatch.noise_scale of a scene multiplies it",
         "sensors.torque_noise": _NOT_TUNED + "0.05 Nm, and mismatch.noise_scale of a scene multiplies it",
+        "joints.viscous_friction": _NOT_TUNED + "0.3 Nm s/rad, and mismatch.friction_scale of a scene multiplies it",
+        "joints.coulomb_friction": _NOT_TUNED + "0.2 Nm, and mismatch.friction_scale of a scene multiplies it",
         "joints.hold_damping": _NOT_TUNED + "30 Nm s/rad",
         "joints.brake_torque": _NOT_TUNED + "150 Nm",
         "watchdog.open_after": _NOT_TUNED + "0.5 s",
@@ -122,6 +123,7 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "bags": "leave it out: the page offers the neighbours of bag, or the folder bags",
     },
     "recorder": {
+        "topics": "leave it out: every topic of the stack is recorded; ros2 bag record records others",
         "storage.compression": "leave it out: bags are compressed with zstd",
         "storage.split_mb": "leave it out: a bag has one file; ros2 bag convert splits",
         "storage.split_s": "leave it out: a bag has one file; ros2 bag convert splits",
@@ -169,6 +171,7 @@ COMMANDS: Mapping[str, str] = {
     "bench page": "run `make -C benchmarks` in a checkout of the repository",
     "bench control": "leave control out: bench times the controller in the running stack",
     "bench --ticks": "leave it out: bench times the controller in the running stack",
+    "bag repair": "damaged bags are read as they are; ros2 bag reindex makes metadata.yaml, mcap recover the index",
     "report --csv": "read the bag itself, an mcap file, with ros2 bag or Foxglove; --json writes the numbers",
     "report --with": "run contact-reach reexecute BAG --with FILE",
     "up --seed": "use --set driver:seed=N",
@@ -181,9 +184,6 @@ COMMANDS: Mapping[str, str] = {
     "view --dark": "append ?darkMode to the page's address",
 }
 """Commands of `contact-reach` by their first words, and options by command and name."""
-
-EXECUTABLES: Mapping[str, str] = {"faults": _FAULTS}
-"""Executables of `ros2 run`."""
 
 _SENTENCES = {
     name: sentence for named in (SCENE_KEYS, BUDGET_KEYS, *PARAMETERS.values()) for name, sentence in named.items()
@@ -200,13 +200,6 @@ def removed_command(words: list[str]) -> str:
     options = [word.partition("=")[0] for word in words if word.startswith("--")]
     names = [*words[:1], " ".join(words[:2]), *(f"{words[0]} {option}" for option in options)]
     return next((_refusal(name, COMMANDS[name]) for name in names if name in COMMANDS), "")
-
-
-def removed_executable() -> None:
-    """Entry point of the executables that are gone: end with exit code 2 and what to do instead."""
-    name = sys.argv[0].rpartition("/")[2]
-    print(_refusal(name, EXECUTABLES[name]), file=sys.stderr)
-    sys.exit(2)
 
 
 def _refusal(name: str, sentence: str) -> str:

@@ -7,13 +7,15 @@ import hashlib
 import os
 import pickle
 import platform
-import subprocess
 import sys
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
-from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.errors import ContactReachError, InputError
+
+T = TypeVar("T")
 
 PACKAGE = "contact_reach_ros"
 VERSION = "0.3.0"
@@ -21,7 +23,6 @@ VERSION = "0.3.0"
 
 _PACKAGES = ("contact-reach-ros", "jax", "brax", "mujoco", "numba", "numpy", "pin", "mcap", "ros-rclpy")
 """Packages that results depend on; `ros-rclpy` is there where rclpy comes as a wheel."""
-_PATIENCE_S = 5.0
 
 
 def share_directory() -> Path:
@@ -82,35 +83,35 @@ def cache_directory() -> Path:
     return directory
 
 
-class KeptFile:
-    """A value in the user's cache, under everything that it depends on.
+def kept(parts: tuple[object, ...], make: Callable[[], T]) -> T:
+    """What `make` returns, out of the user's cache if it has been made before from the same parts.
 
     Parameters
     ----------
-    folder
-        Of the cache.
     parts
-        What the value depends on.
+        Everything that the value depends on.
+    make
+        Makes it; that it cannot be kept is no error.
     """
+    file = cache_directory() / f"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}.pickle"
+    with contextlib.suppress(Exception):  # pickle raises whatever a damaged file leads to
+        known: T = pickle.loads(file.read_bytes())
+        return known
+    value = make()
+    with contextlib.suppress(OSError):
+        new = file.with_suffix(f".{os.getpid()}")
+        new.write_bytes(pickle.dumps(value))
+        new.replace(file)
+    return value
 
-    def __init__(self, folder: str, *parts: object) -> None:
-        name = hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
-        self._file = cache_directory() / folder / f"{name}.pickle"
 
-    def load(self) -> Any:
-        """The value; None if it is not there, or the file is damaged."""
-        try:
-            return pickle.loads(self._file.read_bytes())
-        except Exception:  # pickle raises whatever the damage leads to
-            return None
-
-    def store(self, value: object) -> None:
-        """Keep a value; that it cannot be written is no error."""
-        with contextlib.suppress(OSError):
-            self._file.parent.mkdir(exist_ok=True)
-            new = self._file.with_suffix(f".{os.getpid()}")
-            new.write_bytes(pickle.dumps(value))
-            new.replace(self._file)
+def write_text(file: Path, text: str) -> None:
+    """Write a file that an option names, in a new folder if need be; raises `InputError` if it cannot be written."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"'{file}' cannot be written: {error.strerror}; name a file in a folder of yours") from error
 
 
 def versions() -> dict[str, str]:
@@ -122,25 +123,3 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def git_revision() -> str | None:
-    """Commit of the checkout that this package runs from, with "-dirty" if files differ; None outside a checkout."""
-    checkout = Path(__file__).resolve().parents[1]
-    # An installed package may lie inside somebody else's checkout.
-    if not (checkout / ".git").exists():
-        return None
-    commit = _git(checkout, "rev-parse", "HEAD")
-    changes = _git(checkout, "status", "--porcelain", "--untracked-files=no")
-    if not commit or changes is None:
-        return None
-    return f"{commit}-dirty" if changes else commit
-
-
-def _git(checkout: Path, *arguments: str) -> str | None:
-    command = ["git", "-C", str(checkout), *arguments]
-    try:
-        result = subprocess.run(command, capture_output=True, text=True, timeout=_PATIENCE_S)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return result.stdout.strip() if result.returncode == 0 else None

@@ -294,18 +294,17 @@ def parameters_in(file: Path, node_name: str) -> dict[str, Any]:
     return found
 
 
-def check_node_names(file: Path, others: Sequence[str] = ()) -> None:
-    """Check that each section of a parameter file is for one of `NODES`, by its wildcards for all, or for `others`.
+def check_node_names(file: Path) -> None:
+    """Check that each section of a parameter file is for one of `NODES`, or by its wildcards for all.
 
     Raises
     ------
     SettingsError
         Naming the file and the section, and the nearest node.
     """
-    nodes = [*NODES, *others]
     for pattern in read_yaml(file):
-        if not any(_is_for(str(pattern), node) for node in nodes):
-            raise SettingsError(unknown_key(str(pattern), nodes, str(file), "node"))
+        if not any(_is_for(str(pattern), node) for node in NODES):
+            raise SettingsError(unknown_key(str(pattern), NODES, str(file), "node"))
 
 
 def sections_of_others(file: Path, node_name: str) -> list[str]:

@@ -40,10 +40,6 @@ class Robot(Protocol):
     def stop_reason(self) -> str:
         """Why the robot itself stopped the arm; empty if it did not."""
 
-    @property
-    def is_open(self) -> bool:
-        """Whether the arm follows commands."""
-
     def command(self, torque: Array, clock_ns: int) -> None:
         """Take a command (n,), N m; raises `InputError` if it is refused."""
 
@@ -297,7 +293,6 @@ class Stack:
         goal: Task,
         timeout: float = 20.0,
         watch: Callable[[Tick], None] | None = None,
-        linger: float = 0.0,
         until_settled: bool = False,
     ) -> Result:
         """Move the arm to a goal. A stop ends the run, including one that was latched before and not reset.
@@ -310,8 +305,6 @@ class Stack:
             Time to reach it, s.
         watch
             Called after each step from the goal on.
-        linger
-            Time to keep stepping after the goal was reached or the arm was stopped, s.
         until_settled
             Whether to wait until the tip has settled instead, which it does in `ReplanningSettings.settle_time` at
             rest.
@@ -329,7 +322,7 @@ class Stack:
         target = self._resolve(goal)
         self.command(goal)
         begin_ns, end_ns = self._clock_ns, self._clock_ns + round(timeout * NANOSECONDS)
-        duration, peak, plans, has_ended = float("nan"), float("nan"), 0, False
+        duration, peak, plans = float("nan"), float("nan"), 0
         while self._clock_ns < end_ns and not self.failure:
             tick = self.step()
             plans += tick.plan is not None
@@ -340,9 +333,8 @@ class Stack:
                 watch(tick)
             if np.isnan(duration) and not self.stop_reason and goal.reached(self.tip_position, target):
                 duration = (self._clock_ns - begin_ns) / NANOSECONDS
-            is_done = self.settled if until_settled else not np.isnan(duration)
-            if not has_ended and (is_done or self.stop_reason):
-                has_ended, end_ns = True, self._clock_ns + round(linger * NANOSECONDS)
+            if self.stop_reason or (self.settled if until_settled else not np.isnan(duration)):
+                break
         reason = self.failure or self.stop_reason
         distance = float(np.linalg.norm(self.tip_position - target.position))
         is_reached = not np.isnan(duration) and not reason

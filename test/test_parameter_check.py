@@ -8,7 +8,7 @@ from arm_simulation import ARM
 
 import contact_reach_ros as cr
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.presets import PRESETS, SECTIONS, check_parameters, preset, preset_file
+from contact_reach_ros.presets import PRESETS, SECTIONS, check_parameters, preset
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import NODES, parameters_in
 
@@ -90,7 +90,7 @@ PAPER = ("paper_linear", "paper_hinge")
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_nodes_take_the_file_of_every_preset(name):
-    check_parameters(preset_file(name))
+    check_parameters(config_file(PRESETS[name]))
 
 
 def test_shipped_is_what_the_nodes_run():

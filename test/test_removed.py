@@ -45,11 +45,3 @@ def test_options_count_wherever_they_stand_and_other_words_do_not():
     assert removed.removed_command(["report", "bags/sample", "--csv=tables"])
     assert not removed.removed_command(["bench", "--json", "faults"])
     assert not removed.removed_command([])
-
-
-@pytest.mark.parametrize("name", removed.EXECUTABLES)
-def test_executables(monkeypatch, capsys, name):
-    monkeypatch.setattr("sys.argv", [f"/opt/ros/lib/contact_reach_ros/{name}", "kinds"])
-    with pytest.raises(SystemExit) as ended:
-        removed.removed_executable()
-    assert ended.value.code == 2 and removed.EXECUTABLES[name] in capsys.readouterr().err

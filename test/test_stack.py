@@ -39,7 +39,6 @@ class PlainRobot:
     """MuJoCo's arm in a loop: no obstacles, sensors without noise, commands that act at once."""
 
     stop_reason = ""
-    is_open = True
 
     def __init__(self, start: np.ndarray = HOME, steps: int = 1) -> None:
         """`steps`: number of milliseconds from one joint state to the next."""

@@ -1,4 +1,4 @@
-"""`contact-reach bag info` and `contact-reach bag repair`."""
+"""`contact-reach bag info`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,8 @@ from rich.table import Table
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import LOST, RecordedTopic
-from contact_reach_ros.bags.writer import BagWriter
-from contact_reach_ros.errors import BagError
+from contact_reach_ros.resources import write_text
 from contact_reach_ros.timing import NANOSECONDS
-
-REPAIRED_FROM = "repaired_from"
-"""Key of the custom data that names the bag which was repaired."""
 
 _WIDE = 150
 """Width of the table where the output is no terminal, characters."""
@@ -57,31 +53,26 @@ def _topic_info(topic: RecordedTopic, times_ns: NDArray[np.int64], custom_data: 
     steps = np.diff(np.sort(times_ns)) / NANOSECONDS
     gap = float(steps.max()) if len(steps) else None
     lost = custom_data.get(f"{LOST}{topic.name}", "0") if custom_data.get(LOST, "").isdigit() else ""
-    words = {profile.reliability.replace("_", " ") for profile in topic.offered_qos}
-    latched = any(profile.durability == "transient_local" for profile in topic.offered_qos)
     return {
         "name": topic.name,
         "type": topic.type,
         "message_count": topic.message_count,
-        "qos": ", ".join([*sorted(words, reverse=True), *(["latched"] if latched else [])]) or "not known",
+        "latched": topic.latched,
         "rate_hz": len(steps) / float(steps.sum()) if gap else None,
         "longest_gap_s": gap,
         "lost": int(lost) if lost.isdigit() else None,
     }
 
 
-def bag_info(path: Path, file: Path | None, console: Console | None = None) -> None:
+def bag_info(path: Path, file: Path | None) -> None:
     """Print an overview of a bag, and write it as JSON if a file is given.
 
-    Raises `BagError` if nothing of it can be read, or the file cannot be written.
+    Raises `ContactReachError` if nothing of it can be read, or the file cannot be written.
     """
     info = read_info(path)
     if file is not None:
-        try:
-            file.write_text(json.dumps(info, indent=2) + "\n")
-        except OSError as error:
-            raise BagError(f"--json {file}: cannot be written ({error.strerror}); name a file that can be") from error
-    console = console or Console()
+        write_text(file, json.dumps(info, indent=2) + "\n")
+    console = Console()
     if not console.is_terminal:
         console.width = _WIDE
     start_ns = info["start_ns"]
@@ -101,43 +92,13 @@ def bag_info(path: Path, file: Path | None, console: Console | None = None) -> N
         console.print(f"note: {note}", style="yellow", highlight=False, markup=False)
 
 
-def repair_bag(bag: Path, output: Path | None = None) -> None:
-    """Write all messages that can be read into a new bag, and print what it lacks; the old one stays unchanged.
-
-    Raises `BagError` if nothing can be read, or the new bag exists or cannot be written.
-
-    Parameters
-    ----------
-    bag :
-        A bag, or one of its files.
-    output :
-        Directory to create; when None, the old bag's name with "_repaired" appended.
-    """
-    reader = BagReader(bag)
-    whole = bag.resolve()
-    output = output or whole.with_name(f"{whole.name if bag.is_dir() else whole.stem}_repaired")
-    topics, left_out = [], []
-    with BagWriter(output, custom_data={**reader.custom_data, REPAIRED_FROM: whole.name}) as writer:
-        for topic in reader.topics.values():
-            try:
-                writer.add_topic(topic, reader.definition(topic.type))
-                topics.append(topic.name)
-            except BagError as error:
-                left_out.append(f"topic '{topic.name}' is left out: {error}")
-        for raw in reader.raw_messages(topics):
-            writer.write(raw.topic, raw.data, raw.log_time_ns, raw.publish_time_ns, raw.sequence)
-    for note in (*reader.notes, *left_out):
-        print(f"note: {note}")
-    print(f"{writer.message_count} messages of {len(topics)} topics are in {writer.directory}")
-
-
 def _table(topics: Sequence[Mapping[str, Any]]) -> Table:
     table = Table(box=None, pad_edge=False)
     for name in ("topic", "type"):
         table.add_column(name, overflow="fold")
     for name in ("messages", "Hz", "longest gap ms", "lost"):
         table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("QoS", no_wrap=True)
+    table.add_column("latched", no_wrap=True)
     for topic in topics:
         rate, gap = topic["rate_hz"], topic["longest_gap_s"]
         lost = "?" if topic["lost"] is None else str(topic["lost"])
@@ -148,6 +109,6 @@ def _table(topics: Sequence[Mapping[str, Any]]) -> Table:
             "-" if rate is None else f"{rate:.1f}",
             "-" if gap is None else f"{1e3 * gap:.1f}",
             f"[red]{lost}[/]" if topic["lost"] else lost,
-            topic["qos"],
+            "yes" if topic["latched"] else "",
         )
     return table

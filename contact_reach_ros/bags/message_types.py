@@ -1,26 +1,23 @@
 """Message types: definitions for writing bags, and decoding by the definitions in a bag, without a ROS installation.
 
-The standard types come from tables that are part of `rosbags`. Other types are read from the .msg files of the sourced
-workspaces (AMENT_PREFIX_PATH).
+Bags are written with ROS's own types, which come from tables that are part of `rosbags`.
 """
 
 from __future__ import annotations
 
-import os
+import functools
 import struct
-import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-from rosbags.interfaces import Nodetype
-from rosbags.interfaces.typing import FieldDesc
+from mcap.records import Schema
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.base import TypesysError
+from rosbags.typesys.store import Typestore
 
-from contact_reach_ros.bags.topics import CDR, ROS2MSG, RecordedTopic, TypeDefinition, check_type_name
+from contact_reach_ros.bags.topics import CDR, ROS2MSG, RecordedTopic
 from contact_reach_ros.errors import BagError
 
 _UNCLEAR = (TypesysError, UnicodeDecodeError, KeyError, SyntaxError, RecursionError)
@@ -30,34 +27,19 @@ _UNDECODABLE = (SerdeError, struct.error, IndexError, ValueError)
 """What rosbags raises for bytes that are no message of the type."""
 
 
-class MessageTypes:
-    """Looks up message definitions by type name."""
+@functools.cache
+def _standard_types() -> Typestore:
+    return get_typestore(Stores.ROS2_JAZZY)
 
-    def __init__(self) -> None:
-        self._store = get_typestore(Stores.ROS2_JAZZY)
 
-    def definition(self, name: str) -> TypeDefinition:
-        """Return the text of the .msg file followed by each dependency once, as in `ros2msg` schemas.
+def standard_definition(name: str) -> tuple[bytes, str]:
+    """The text of the .msg file followed by each dependency once, as in `ros2msg` schemas, and the hash of the type.
 
-        Raises `BagError` if the type is neither a standard type nor in a sourced workspace.
-        """
-        self._register(name)
-        text, _ = self._store.generate_msgdef(name, ros_version=2)
-        return TypeDefinition(ROS2MSG, text.encode(), self._store.hash_rihs01(name))
-
-    def _register(self, name: str) -> None:
-        """Read the type and its dependencies from the sourced workspaces, unless they are known."""
-        if check_type_name(name) in self._store.fielddefs:
-            return
-        path = _definition_path(name)
-        try:
-            found = get_types_from_msg(path.read_text(encoding="utf-8"), name)
-        except TypesysError as error:
-            raise BagError(f"{path}: not a message definition that can be read: {error}") from error
-        for _, description in found[name][1]:
-            for nested in _nested_types(description):
-                self._register(nested)
-        self._store.register(found)
+    It must be one of ROS 2 Jazzy's types.
+    """
+    store = _standard_types()
+    text, _ = store.generate_msgdef(name, ros_version=2)
+    return text.encode(), store.hash_rihs01(name)
 
 
 class Decoder:
@@ -67,13 +49,12 @@ class Decoder:
     ----------
     topics :
         The topics of the bag by name.
-    definition :
-        Returns the definition of a type; raises `BagError` if the bag has none.
+    schemas :
+        Definitions of types by name, as far as the bag has them.
     """
 
-    def __init__(self, topics: Mapping[str, RecordedTopic], definition: Callable[[str], TypeDefinition]) -> None:
-        self._topics = topics
-        self._definition = definition
+    def __init__(self, topics: Mapping[str, RecordedTopic], schemas: Mapping[str, Schema]) -> None:
+        self._topics, self._schemas = topics, schemas
         self._store = get_typestore(Stores.EMPTY)
         self._compiled: dict[str, Any] = {}
         self._left_out: dict[str, BagError] = {}
@@ -108,35 +89,17 @@ class Decoder:
     def _compile(self, topic: RecordedTopic) -> Any:
         if topic.encoding != CDR:
             raise BagError(f"is serialised as {topic.encoding or 'nothing known'}, expected {CDR}")
-        definition = self._definition(topic.type)
+        definition = self._schemas.get(topic.type)
+        if definition is None:
+            raise BagError(f"the bag has no definition of the type '{topic.type}'")
         if definition.encoding != ROS2MSG:
             raise BagError(
                 f"type '{topic.type}' has a definition in the encoding '{definition.encoding}', expected {ROS2MSG}"
             )
         try:
             if topic.type not in self._store.fielddefs:
-                self._store.register(get_types_from_msg(definition.text.decode(), topic.type))
+                self._store.register(get_types_from_msg(definition.data.decode(), topic.type))
             # This also shows whether a dependency is missing.
             return self._store.get_msgdef(topic.type)
         except _UNCLEAR as error:
             raise BagError(f"type '{topic.type}' has no clear definition: {error}") from error
-
-
-def _definition_path(name: str) -> Path:
-    package, _, type_name = check_type_name(name).split("/")
-    prefixes = [prefix for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
-    for prefix in [*prefixes, sys.prefix]:
-        path = Path(prefix) / "share" / package / "msg" / f"{type_name}.msg"
-        if path.is_file():
-            return path
-    raise BagError(
-        f"message type '{name}' is unknown: it is no standard type of ROS 2 Jazzy and share/{package}/msg/"
-        f"{type_name}.msg is in none of the sourced workspaces; source the workspace that has it"
-    )
-
-
-def _nested_types(description: FieldDesc) -> Iterator[str]:
-    if description[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        description = description[1][0]
-    if description[0] == Nodetype.NAME:
-        yield str(description[1])

@@ -13,15 +13,7 @@ import yaml
 
 from contact_reach_ros.bags.mcap_file import McapFile
 from contact_reach_ros.bags.message_types import Decoder
-from contact_reach_ros.bags.topics import (
-    INFORMATION,
-    MCAP_KEY,
-    MCAP_NAME,
-    METADATA,
-    RecordedTopic,
-    TypeDefinition,
-    read_offered_qos,
-)
+from contact_reach_ros.bags.topics import MCAP_KEY, MCAP_NAME, RecordedTopic, is_latched
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -40,11 +32,9 @@ class RawMessage(NamedTuple):
 
 
 class BagMessage(NamedTuple):
-    """A decoded message (fields by attribute, number sequences as arrays), times in ns since the epoch."""
+    """A decoded message: fields by attribute, number sequences as arrays."""
 
     topic: str
-    log_time_ns: int
-    publish_time_ns: int
     message: Any
 
 
@@ -78,17 +68,19 @@ class BagReader:
         if not os.path.exists(self.path):
             raise BagError(f"bag '{self.path}' does not exist")
         self._notes: list[str] = []
-        information = self._read_information() if self.path.is_dir() else {}
-        self._files = self._open(self._find_files(information))
+        paths = sorted(self.path.glob("*.mcap"), key=_file_number) if self.path.is_dir() else [self.path]
+        if not paths:
+            raise BagError(f"'{self.path}' is no bag with mcap files; `ros2 bag convert` can convert other recordings")
+        self._files = self._open(paths)
         if of_stack:
             self._leave_namespace()
         self.topics = self._read_topics()
         spans = [file.span_ns for file in self._files if file.span_ns is not None]
         self.start_ns = min((start for start, _ in spans), default=0)
         self.duration = (max((end for _, end in spans), default=0) - self.start_ns) / NANOSECONDS
-        kept = (information or self._embedded_information()).get("custom_data")
-        self.custom_data = {str(key): str(value) for key, value in kept.items()} if isinstance(kept, dict) else {}
-        self._decoder = Decoder(self.topics, self.definition)
+        self.custom_data = self._read_custom_data()
+        schemas = {schema.name: schema for file in self._files for schema in file.schemas.values()}
+        self._decoder = Decoder(self.topics, schemas)
 
     @property
     def message_count(self) -> int:
@@ -124,54 +116,11 @@ class BagReader:
         for raw in self.raw_messages(topics):
             decoded = self.decode(raw)
             if decoded is not None:
-                yield BagMessage(raw.topic, raw.log_time_ns, raw.publish_time_ns, decoded)
+                yield BagMessage(raw.topic, decoded)
 
     def decode(self, raw: RawMessage) -> Any:
         """Decode a message; returns None if that fails, which `notes` reports afterwards."""
         return self._decoder.decode(raw.topic, raw.data)
-
-    def definition(self, type_name: str) -> TypeDefinition:
-        """Return the definition of a type from the bag; raises `BagError` if the bag has none."""
-        for file in self._files:
-            for channel in file.channels.values():
-                schema = file.schemas.get(channel.schema_id)
-                if schema is not None and schema.name == type_name:
-                    return TypeDefinition(schema.encoding, schema.data, channel.metadata.get("topic_type_hash", ""))
-        raise BagError(f"bag '{self.path}' has no definition of the type '{type_name}'")
-
-    def _read_information(self) -> Mapping[str, Any]:
-        """Read metadata.yaml; a missing or damaged one becomes a note."""
-        path, without = self.path / METADATA, "the mcap files are read without it"
-        try:
-            content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            self._notes.append(
-                f"{METADATA} is missing: the recording was not closed; `contact-reach bag repair` closes it"
-            )
-            return {}
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            self._notes.append(f"{path}: cannot be read: {error}; {without}")
-            return {}
-        information = content.get(INFORMATION) if isinstance(content, dict) else None
-        if not isinstance(information, dict):
-            self._notes.append(
-                f"{path}: expected the metadata of a rosbag2 bag, with the key '{INFORMATION}'; {without}"
-            )
-            return {}
-        return information
-
-    def _find_files(self, information: Mapping[str, Any]) -> Sequence[Path]:
-        if not self.path.is_dir():
-            return [self.path]
-        if str(information.get("compression_mode")).lower() == "message":
-            raise BagError(f"the messages of bag '{self.path}' are compressed; `ros2 bag convert` can convert it")
-        named = information.get("relative_file_paths")
-        if isinstance(named, list) and named:
-            return [self.path / Path(str(name)).name for name in named]
-        files = sorted(self.path.glob("*.mcap"), key=_file_number)
-        if not files:
-            raise BagError(f"'{self.path}' is no bag with mcap files; `ros2 bag convert` can convert other recordings")
-        return files
 
     def _open(self, paths: Sequence[Path]) -> list[McapFile]:
         """Open the files that can be read; one that cannot becomes a note if there are others."""
@@ -208,16 +157,16 @@ class BagReader:
             for number, channel in file.channels.items():
                 name, schema = channel.topic, file.schemas.get(channel.schema_id)
                 kind = schema.name if schema else ""
-                offered_qos = read_offered_qos(channel.metadata.get("offered_qos_profiles", ""))
-                known = topics.get(name, RecordedTopic(name, kind, offered_qos, channel.message_encoding))
+                latched = is_latched(channel.metadata.get("offered_qos_profiles", ""))
+                known = topics.get(name, RecordedTopic(name, kind, latched=latched, encoding=channel.message_encoding))
                 if known.type != kind:
                     raise BagError(f"{file.path}: topic '{name}' has both type {known.type} and {kind}, expected one")
                 count = known.message_count + file.message_counts[number]
                 topics[name] = dataclasses.replace(known, message_count=count)
         return topics
 
-    def _embedded_information(self) -> Mapping[str, Any]:
-        """Return the copy of the metadata in the last file that has one; empty if there is none."""
+    def _read_custom_data(self) -> dict[str, str]:
+        """Return what rosbag2's metadata holds, of which each file has a copy, from the last that has one."""
         for file in reversed(self._files):
             try:
                 content = yaml.safe_load(file.metadata.get(MCAP_NAME, {}).get(MCAP_KEY, ""))
@@ -225,7 +174,8 @@ class BagReader:
                 self._notes.append(f"the metadata inside {file.path.name} cannot be read: {error}")
                 continue
             if isinstance(content, dict):
-                return content
+                kept = content.get("custom_data")
+                return {str(key): str(value) for key, value in kept.items()} if isinstance(kept, dict) else {}
         return {}
 
 

@@ -22,7 +22,6 @@ class RecorderSettings(Settings):
     """Contents of the bag, and its place."""
 
     bag: str = setting("", "directory to create; named after date and time when empty, never overwritten")
-    topics: tuple[str, ...] = setting((), "names; every topic of the stack when empty")
     custom_data: tuple[str, ...] = setting((), "key=value each: text to keep in the bag, such as scene and seed")
     files: tuple[str, ...] = setting((), "key=path each: text files to keep in the bag, such as the parameter file")
 

@@ -18,7 +18,6 @@ from contact_reach_ros.arms import EARLIER_DIGESTS, ROBOT_DIGEST, ROBOT_TABLE, a
 from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, read_raw
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.errors import BagError, SettingsError
-from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.values import goal_in, nanoseconds, numbers, read_settings
@@ -35,7 +34,6 @@ _SPARSE = {
     "plan/statistics": "diagnostic_msgs/msg/DiagnosticArray",
     SETTINGS: "diagnostic_msgs/msg/DiagnosticStatus",
     "intake/controller": "std_msgs/msg/Int64MultiArray",
-    "reference/pose": "trajectory_msgs/msg/MultiDOFJointTrajectory",
 }
 """Types of the topics with few messages."""
 
@@ -58,9 +56,9 @@ class Clock:
         stamped = states.stamp_ns != 0
         received, stamps = states.log_ns[stamped], states.stamp_ns[stamped]
         if len(stamps):
-            self._received_0, self.origin_ns, self._last_ns = int(received[0]), int(stamps[0]), int(stamps[-1])
+            self._received_0, self.origin_ns = int(received[0]), int(stamps[0])
         else:
-            self._received_0 = self.origin_ns = self._last_ns = int(states.log_ns[0]) if len(states) else 0
+            self._received_0 = self.origin_ns = int(states.log_ns[0]) if len(states) else 0
         self._received = (received - self._received_0) / NANOSECONDS
         self._stamps = (stamps - self.origin_ns) / NANOSECONDS
 
@@ -68,11 +66,6 @@ class Clock:
         """By the stamps in the headers, or by reception where they are zero."""
         times = (column.stamp_ns - self.origin_ns) / NANOSECONDS
         return np.where(column.stamp_ns == 0, self.of_receptions(column.log_ns), times)
-
-    def of_goals(self, received: np.ndarray, stamps_ns: np.ndarray) -> np.ndarray:
-        """By stamps, ns, or by reception, s, where no joint state was at that time: by when they were sent."""
-        known = (stamps_ns >= self.origin_ns) & (stamps_ns <= self._last_ns)
-        return np.where(known, (stamps_ns - self.origin_ns) / NANOSECONDS, received)
 
     def of_receptions(self, log_ns: np.ndarray) -> np.ndarray:
         """By times of reception, ns."""
@@ -163,10 +156,8 @@ class EpisodeSignals:
         Positions of the goals that the planner refused, likewise.
     missed_ticks :
         The driver's count of missed ticks: one column.
-    plan_times :
-        (n,) when plans take effect, s, in order.
     plans :
-        Statistics of the plans, in the same order.
+        Statistics of the plans, in the order in which they take effect.
     state_sent_ns :
         (n,) when joint states were sent, ns since the epoch, in the order of their series.
     answers_ns :
@@ -189,7 +180,6 @@ class EpisodeSignals:
     goals: Series
     refused_goals: Series
     missed_ticks: Series
-    plan_times: np.ndarray
     plans: tuple[PlanStatistics, ...]
     state_sent_ns: np.ndarray
     answers_ns: np.ndarray
@@ -203,14 +193,15 @@ class EpisodeSignals:
 
     def plan_age(self, times: np.ndarray) -> np.ndarray:
         """Time (n,), s, since the plan in force at each of the times (n,), s, took effect; NaN before the first."""
-        rows = np.searchsorted(self.plan_times, times + _ROUNDING, side="right") - 1
-        effects = np.append(self.plan_times, np.nan)
-        return np.asarray(times - effects[rows])
+        effects = np.array([plan.time for plan in self.plans])
+        rows = np.searchsorted(effects, times + _ROUNDING, side="right") - 1
+        return np.asarray(times - np.append(effects, np.nan)[rows])
 
 
 def arm_of_bag(bag: BagReader) -> Arm:
     """The arm that the nodes of a bag had, with its last tool; raises `BagError` as `recorded_arm`."""
-    statuses = (item.message for item in bag.messages({f"/{SETTINGS}"} & bag.topics.keys()))
+    topics = {f"/{SETTINGS}"} & bag.topics.keys() if SETTINGS not in _of_other_types(bag) else set()
+    statuses = (item.message for item in bag.messages(topics))
     return recorded_arm({status.name: read_settings(status) for status in statuses})
 
 
@@ -247,8 +238,7 @@ def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
         "sim/contacts": JointStates(("effort",), (*arm.contact_links, "sum", "max")),
     }
     sparse: dict[str, list[RawMessage]] = {name: [] for name in _SPARSE}
-    types = {name: bag.topics[f"/{name}"].type for name in _SPARSE if f"/{name}" in bag.topics}
-    other = {name: kind for name, kind in types.items() if kind != _SPARSE[name]}
+    other = _of_other_types(bag)
     few = {f"/{name}": messages.append for name, messages in sparse.items() if name not in other}
     read_raw(bag, {f"/{name}": column for name, column in columns.items()} | few)
     state, command, torque, contact = (column.column() for column in columns.values())
@@ -264,8 +254,7 @@ def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
     safety_states = received("safety_state")
     settings = {status.name: read_settings(status) for _, status in received(SETTINGS)}
     plans = [plan for _, array in received("plan/statistics") for plan in _plans(clock, array)]
-    effects = np.array([stamp_in(raw.data) for raw in sparse["reference/pose"]], np.int64)
-    goals, refused_goals = _goals(received("goal_pose"), plans, clock)
+    goals, refused_goals = _goals(received("goal_pose"), plans)
     return EpisodeSignals(
         clock,
         Series(state_times, joints, state.values[:, :count]),
@@ -279,7 +268,6 @@ def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
         goals,
         refused_goals,
         _missed_ticks(received("diagnostics")),
-        (np.sort(effects[effects > 0]) - clock.origin_ns) / NANOSECONDS,
         tuple(sorted(plans, key=lambda plan: plan.time)),
         state.publish_ns,
         _answers(command, [message.data for _, message in received("intake/controller")]),
@@ -320,6 +308,12 @@ def goal_distance(
     in_force = np.maximum(np.searchsorted(signals.goals.time, time[rows], side="right") - 1, 0)
     away = tip_positions(positions[rows]) - signals.goals.values[in_force]
     return Series(time[rows], ("distance",), np.linalg.norm(away, axis=1, keepdims=True))
+
+
+def _of_other_types(bag: BagReader) -> dict[str, str]:
+    """Types of the topics that have one of our names, but not its type."""
+    types = {name: bag.topics[f"/{name}"].type for name in _SPARSE if f"/{name}" in bag.topics}
+    return {name: kind for name, kind in types.items() if kind != _SPARSE[name]}
 
 
 def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[SafetyEvent]:
@@ -371,12 +365,11 @@ def _oddities(columns: Mapping[str, Column], commands: Column) -> Iterator[str]:
         yield f"joint_states: has none of the joints {', '.join(dict.fromkeys(states.names))}: is it another robot's?"
 
 
-def _goals(messages: Sequence[tuple[float, Any]], plans: Sequence[PlanStatistics], clock: Clock) -> Iterator[Series]:
+def _goals(messages: Sequence[tuple[float, Any]], plans: Sequence[PlanStatistics]) -> Iterator[Series]:
     """Yield the goals that were not refused, and the others."""
     places = [message.pose.position for _, message in messages]
     positions = np.array([(place.x, place.y, place.z) for place in places]).reshape(-1, 3)
-    stamps = np.array([nanoseconds(message.header.stamp) for _, message in messages], np.int64)
-    times = clock.of_goals(np.array([time for time, _ in messages]), stamps)
+    times = np.array([time for time, _ in messages])
     planned = [goal for plan in plans if (goal := goal_in(plan.numbers)) is not None]
     kept = np.isfinite(positions).all(axis=1)
     # Bags of earlier versions do not name the goals of plans.

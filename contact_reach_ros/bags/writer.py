@@ -12,21 +12,15 @@ from typing import Any, Self
 import yaml
 from mcap.writer import CompressionType, Writer
 
-from contact_reach_ros.bags.message_types import MessageTypes
-from contact_reach_ros.bags.topics import (
-    INFORMATION,
-    MCAP_KEY,
-    MCAP_NAME,
-    METADATA,
-    RecordedTopic,
-    TypeDefinition,
-    written_qos,
-)
+from contact_reach_ros.bags.message_types import standard_definition
+from contact_reach_ros.bags.topics import MCAP_KEY, MCAP_NAME, ROS2MSG, RecordedTopic, written_qos
 from contact_reach_ros.errors import BagError
 
 CHUNK_BYTES = 2 * 1024 * 1024
 """More than a second of the stack, so that only `flush` ends a chunk. mcap keeps an index entry of about 1.5 kB for
 each chunk in memory until the file is closed: with two chunks a second, 2 MB in ten minutes."""
+METADATA, INFORMATION = "metadata.yaml", "rosbag2_bagfile_information"
+"""File of a bag, and its key."""
 VERSION, ROS_DISTRO = 9, "jazzy"
 """Of the metadata."""
 
@@ -43,7 +37,7 @@ class BagWriter:
     """A bag that is being written: a directory with metadata.yaml and one mcap file.
 
     Use it from one thread. Leaving the `with` block, or `close`, completes the bag; after a crash, what was flushed
-    can still be read. Raises `BagError` if the directory exists or cannot be written, or a type is unknown.
+    can still be read. Raises `BagError` if the directory exists or cannot be written.
 
     Parameters
     ----------
@@ -69,7 +63,6 @@ class BagWriter:
         self.directory = Path(directory)
         self._custom_data = dict(custom_data or {})
         self._custom_data_written = True
-        self._types = MessageTypes()
         self._channels: dict[str, _Channel] = {}
         self._schema_ids: dict[str, int] = {}
         self._file = f"{self.directory.resolve().name}_0.mcap"
@@ -95,7 +88,6 @@ class BagWriter:
             raise BagError(f"bag '{self.directory}' cannot be created: {error.strerror}") from error
         for topic in topics:
             self.add_topic(topic)
-        self.flush()
 
     @property
     def message_count(self) -> int:
@@ -108,35 +100,20 @@ class BagWriter:
             self._custom_data[key] = value
             self._custom_data_written = False
 
-    def add_topic(self, topic: RecordedTopic, definition: TypeDefinition | None = None) -> None:
-        """Add a topic, whose messages can be written from now on.
-
-        Raises `BagError` if the topic is already in the bag, its type is unknown, or the bag is closed.
-
-        Parameters
-        ----------
-        topic :
-            Name, type, quality of service and encoding.
-        definition :
-            Definition of its type; looked up among the standard types and the sourced workspaces when None.
-        """
-        if self._closed:
-            raise BagError(f"bag '{self.directory}' is closed: topic '{topic.name}' cannot be added")
-        if topic.name in self._channels:
-            raise BagError(f"bag '{self.directory}': topic '{topic.name}' is added twice")
-        definition = definition or self._types.definition(topic.type)
+    def add_topic(self, topic: RecordedTopic) -> None:
+        """Add a topic of a type that is ROS's own; its messages can be written from now on."""
+        text, type_hash = standard_definition(topic.type)
         if topic.type not in self._schema_ids:
-            schema_id = self._writer.register_schema(topic.type, definition.encoding, definition.text)
-            self._schema_ids[topic.type] = schema_id
-        profiles = _dump_yaml(written_qos(topic.offered_qos))
-        about = {"offered_qos_profiles": profiles, "topic_type_hash": definition.type_hash}
+            self._schema_ids[topic.type] = self._writer.register_schema(topic.type, ROS2MSG, text)
+        profiles = _dump_yaml(written_qos(topic))
+        about = {"offered_qos_profiles": profiles, "topic_type_hash": type_hash}
         number = self._writer.register_channel(topic.name, topic.encoding, self._schema_ids[topic.type], about)
-        self._channels[topic.name] = _Channel(topic, definition.type_hash, number)
+        self._channels[topic.name] = _Channel(topic, type_hash, number)
 
     def write(
         self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None, sequence: int = 0
     ) -> None:
-        """Append a message; raises `BagError` if the topic was not added, the bag is closed, or it cannot be written.
+        """Append a message; raises `BagError` if it cannot be written.
 
         Parameters
         ----------
@@ -149,38 +126,28 @@ class BagWriter:
         sequence :
             The publisher's number of the message, 0 if unknown.
         """
-        channel = self._channels.get(topic)
-        sequence &= 0xFFFFFFFF
-        if channel is None or self._closed:
-            reason = "it is closed" if self._closed else "add the topic first"
-            raise BagError(f"bag '{self.directory}' cannot take a message of '{topic}': {reason}")
+        channel = self._channels[topic]
         if publish_time_ns is None:
             publish_time_ns = log_time_ns
         try:
-            self._writer.add_message(channel.number, log_time_ns, data, publish_time_ns, sequence)
+            self._writer.add_message(channel.number, log_time_ns, data, publish_time_ns, sequence & 0xFFFFFFFF)
         except OSError as error:
             raise self._refused(error) from error
         channel.message_count += 1
         first_ns, last_ns = self._span_ns or (log_time_ns, log_time_ns)
         self._span_ns = min(first_ns, log_time_ns), max(last_ns, log_time_ns)
 
-    def flush(self, durable: bool = False) -> None:
+    def flush(self) -> None:
         """Pass everything written so far to the operating system, so that it survives if the process is killed.
 
-        Raises `BagError` if this, or the disk's writing that an earlier call started, fails.
-
-        Parameters
-        ----------
-        durable :
-            Also start writing it to the disk, so that it survives a power cut; this finishes after the call returns.
+        It also starts to write to the disk, so that it survives a power cut; that finishes after the call returns.
+        Raises `BagError` if either fails, the disk by the next call.
         """
-        if self._closed:
-            return
         try:
             if not self._custom_data_written:
                 self._add_information()
             self._writer.flush()
-            if durable and (self._syncing is None or self._syncing.done()):
+            if self._syncing is None or self._syncing.done():
                 self._wait_for_disk()
                 self._syncing = self._disk.submit(os.fdatasync, self._stream.fileno())
         except OSError as error:
@@ -248,7 +215,7 @@ class BagWriter:
                         "name": channel.topic.name,
                         "type": channel.topic.type,
                         "serialization_format": channel.topic.encoding,
-                        "offered_qos_profiles": written_qos(channel.topic.offered_qos),
+                        "offered_qos_profiles": written_qos(channel.topic),
                         "type_description_hash": channel.type_hash,
                     },
                     "message_count": channel.message_count,

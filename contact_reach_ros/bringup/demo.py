@@ -21,6 +21,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.report.bag import metrics, quantity, read_report_bag
 from contact_reach_ros.report.plot import draw_episode
 from contact_reach_ros.report.summary import SUCCESS_DISTANCE, EpisodeSummary
+from contact_reach_ros.resources import write_text
 from contact_reach_ros.ros.graph import refuse_beside_another
 from contact_reach_ros.ros.interfaces import DEMO
 from contact_reach_ros.ros.process import bare_node
@@ -199,7 +200,7 @@ def _judge(bag: Path, end_ns: int | None, options: DemoOptions) -> EpisodeSummar
         print(f"  {label:40}{text}")
     if found.summary is not None and options.json is not None:
         values = {**found.summary.as_json(), "lockstep": options.lockstep, "bag": str(bag), "plot": str(plot)}
-        options.json.write_text(json.dumps(values, indent=2) + "\n")
+        write_text(options.json, json.dumps(values, indent=2) + "\n")
     return found.summary
 
 

@@ -79,7 +79,6 @@ class Controller:
         arm: Arm,
         settings: ControllerSettings,
         period: float = 0.001,
-        inertias: str = "nominal",
         watch_rate: float = WATCH_RATE,
     ) -> None:
         """Raise `SettingsError` if the gains are not stable at this rate.
@@ -90,15 +89,13 @@ class Controller:
             The arm, and all settings.
         period
             Nominal time between joint states, s.
-        inertias
-            The arm's inertia set to control with.
         watch_rate
             Joint states that the controller's own watch takes at most, Hz.
         """
         check_gains(arm, settings.impedance, period)
         self.arm = arm
         self.settings = settings
-        self.model = RobotModel(arm, inertias)
+        self.model = RobotModel(arm)
         self.references = ReferenceQueue(arm.n, MAX_PLAN_LEAD, MAX_PLAN_DURATION)
         self.supervisor = Supervisor(arm, settings.supervision, period)
         self.order = StampOrder()

@@ -13,7 +13,7 @@ from contact_reach_ros.arm.capsules import shape_name, shapes
 from contact_reach_ros.arm.table import table_text
 from contact_reach_ros.arm.urdf_reader import read_arm_file
 from contact_reach_ros.arms import ENDINGS, load_arm
-from contact_reach_ros.doctor.findings import write_text
+from contact_reach_ros.resources import write_text
 
 
 def check_arm(name: str, table: Path | None = None) -> None:

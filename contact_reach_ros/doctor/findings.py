@@ -14,7 +14,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.resources import write_text
 
 
 class Verdict(Enum):
@@ -114,11 +115,3 @@ def write_json(report: Report, file: Path) -> None:
         ],
     }
     write_text(file, json.dumps(content, indent=2) + "\n")
-
-
-def write_text(file: Path, text: str) -> None:
-    """Write a file that an option names; raises `InputError` if it cannot be written."""
-    try:
-        file.write_text(text)
-    except OSError as error:
-        raise InputError(f"'{file}' cannot be written: {error.strerror}; name a file in a folder of yours") from error

@@ -20,10 +20,10 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bringup.follower import Follower
 from contact_reach_ros.bringup.processes import BringupOptions, processes
 from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
-from contact_reach_ros.doctor.findings import write_text
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.report.summary import SUCCESS_DISTANCE
+from contact_reach_ros.resources import write_text
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.timing import percentiles_us, read_counts

@@ -22,8 +22,8 @@ from contact_reach_ros.identification.identify import Identification, identify
 from contact_reach_ros.identification.recording import Recording, make_recording
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import ObserverSettings
-from contact_reach_ros.reexecution.settings import BUDGET, recorded_sections
-from contact_reach_ros.resources import config_file
+from contact_reach_ros.reexecution.inputs import BUDGET, recorded_sections
+from contact_reach_ros.resources import config_file, write_text
 from contact_reach_ros.settings import DEFAULT_PARAMETERS, Settings, full_name, read_yaml
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -179,12 +179,9 @@ def write(found: Identification, base: Path, file: Path, source: str) -> tuple[P
     if found.tool is not None:
         values["/**"] = {"tool": _plain(found.tool)}
     _update(content, {node: {"ros__parameters": own} for node, own in values.items()})
-    try:
-        for path, tree in ((file, content), (budget_file, _plain(found.budget))):
-            text = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=120)
-            path.write_text(f"# Written by contact-reach identify, from {source}.\n{text}")
-    except OSError as error:
-        raise InputError(f"{error.filename}: cannot be written ({error.strerror})") from error
+    for path, tree in ((file, content), (budget_file, _plain(found.budget))):
+        text = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=120)
+        write_text(path, f"# Written by contact-reach identify, from {source}.\n{text}")
     return file, budget_file
 
 

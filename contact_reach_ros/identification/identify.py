@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.identification.fit import Fit, fit
@@ -186,7 +186,7 @@ def watch(arm: Arm, settings: ObserverSettings, budget: ContactBudget, recording
     budget, period = budget.resolve(arm), recording.period
     observer = Observer(arm, settings, budget, period, locates=False)
     residuals, sudden, speeds = [], [], []
-    for state in recording.states():
+    for state in map(JointState, recording.stamps_ns.tolist(), recording.q, recording.v, recording.torque):
         observer.update(state)
         if observer.momentum.known_for >= HANDOVER_TIME:
             residuals.append(observer.momentum.residual)

@@ -47,10 +47,6 @@ class Recording(NamedTuple):
         """Median time between states, s."""
         return float(np.median(np.diff(self.stamps_ns))) / NANOSECONDS
 
-    def states(self) -> Iterator[JointState]:
-        """State by state."""
-        return map(JointState, self.stamps_ns.tolist(), self.q, self.v, self.torque)
-
 
 def make_recording(stamps_ns: np.ndarray, q: Array, v: Array, torque: Array, name: str = "recording") -> Recording:
     """Put states, as in `Recording` but in any order, together; repeated ones are left out.

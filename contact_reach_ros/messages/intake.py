@@ -31,7 +31,6 @@ class Taken(IntEnum):
     REFERENCE_POSE = 2
     REFERENCE_POSTURE = 3
     SAFETY_STATE = 4
-    COMMANDS = 5
     ACTIVATE = 16
     """The lifecycle transition."""
     STOP = 17
@@ -45,7 +44,6 @@ TOPICS = {
     Taken.REFERENCE_POSE: "reference/pose",
     Taken.REFERENCE_POSTURE: "reference/posture",
     Taken.SAFETY_STATE: "safety_state",
-    Taken.COMMANDS: "effort_controller/commands",
 }
 """Relative names of the topics."""
 

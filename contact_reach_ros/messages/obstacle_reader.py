@@ -10,7 +10,7 @@ CUBE, in namespace 'plane' with everything behind the face to which its z axis p
 from __future__ import annotations
 
 import struct
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import FrameError, InputError
 from contact_reach_ros.messages.cdr import STAMP, Cursor, no_message
+from contact_reach_ros.planning.settings import PlannerNodeSettings
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.rigid import Block, Plane, RigidBody
 from contact_reach_ros.world.spheres import FIXED_STIFFNESS, Spheres
@@ -50,20 +51,6 @@ _COLOR_TO_LOCKED = 16 + 8 + 1
 """Bytes of color, lifetime and frame_locked."""
 
 
-class AssumedMaterial(NamedTuple):
-    """Properties of obstacles, which markers do not carry."""
-
-    sphere_stiffness: float
-    """Spring that holds a sphere to its place, N/m."""
-    edge_stiffness: float
-    """Spring between two nodes of a deformable body, N/m; nothing else holds nodes that can move."""
-
-    @classmethod
-    def of(cls, settings: Any) -> Self:
-        """The material that the planner's settings give, by the names of its fields."""
-        return cls(*(getattr(settings, field) for field in cls._fields))
-
-
 class _Marker(NamedTuple):
     """What a marker says of an obstacle; lengths in m."""
 
@@ -91,8 +78,8 @@ class ObstacleMarkerReader:
     ----------
     frame
         In which markers must be: the arm's base frame.
-    material
-        Of the obstacles.
+    settings
+        Stiffness of obstacles, which markers do not carry; None for the defaults.
 
     Attributes
     ----------
@@ -101,10 +88,10 @@ class ObstacleMarkerReader:
         stamp, as in an empty message.
     """
 
-    def __init__(self, frame: str, material: AssumedMaterial) -> None:
+    def __init__(self, frame: str, settings: PlannerNodeSettings | None = None) -> None:
         self.stamp_ns: int | None = None
         self._frame = frame
-        self._material = material
+        self._settings = settings or PlannerNodeSettings()
         self._rests: dict[int, Array] = {}
 
     def read(self, data: bytes) -> Spheres:
@@ -162,9 +149,8 @@ class ObstacleMarkerReader:
                 f"obstacles: marker {REST}/{number} has {len(rest)} points; expected {len(movable)}, one for each "
                 "node that can move"
             )
-        material = self._material
         is_ball = OBSTACLES in body and body[OBSTACLES].type == _SPHERE
-        stiffness = material.sphere_stiffness if is_ball else 0.0
+        stiffness = self._settings.sphere_stiffness if is_ball else 0.0
         nodes = np.concatenate([movable, fixed])
         edges = _joined(number, body[EDGES].points if EDGES in body else np.zeros((0, 3)), nodes)
         counts = [len(movable), len(fixed)]
@@ -176,7 +162,7 @@ class ObstacleMarkerReader:
             "stiffness": np.repeat([stiffness, FIXED_STIFFNESS], counts),
             "damping": np.full(len(nodes), SPHERE_DAMPING if is_ball else NODE_DAMPING),
             "edges": edges + first,
-            "edge_stiffness": np.full(len(edges), material.edge_stiffness),
+            "edge_stiffness": np.full(len(edges), self._settings.edge_stiffness),
         }
 
 

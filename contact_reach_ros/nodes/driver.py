@@ -79,7 +79,7 @@ class DriverNode(ManagedNode):
             self.inbox.add(topics.GOAL_STATE, self._on_goal_state)
         self._scene = make_scene(read_scene(chosen.scene), self.arm, chosen.seed, parse_target(chosen.target))
         own = self.settings
-        self.robot = SimulatedRobot(self._scene, joints=own["joints"], watchdog=own["watchdog"], period=self.period)
+        self.robot = SimulatedRobot(self._scene, watchdog=own["watchdog"], period=self.period)
         self.pace = Pace(self._period_ns)
         self._published_ns = 0
         self.exclude([self.COMMANDS])

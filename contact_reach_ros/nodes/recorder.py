@@ -1,35 +1,31 @@
-"""The recorder: writes the robot's topics to a bag, without decoding their messages, until it is stopped."""
+"""The recorder: writes the topics of the stack to a bag until it is stopped."""
 
 from __future__ import annotations
 
-import dataclasses
 import datetime
-import importlib
 import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import get_rmw_implementation_identifier
-from rclpy.validate_topic_name import validate_topic_name
 
 from contact_reach_ros.bags.settings import MEGA, RECORDER_SECTIONS, RecorderSettings, shortage_in
-from contact_reach_ros.bags.topics import LOST, OfferedQos, RecordedTopic, check_type_name
+from contact_reach_ros.bags.topics import LOST, RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import stamp_in
-from contact_reach_ros.resources import git_revision, versions
-from contact_reach_ros.ros.inbox import LoopGroup
+from contact_reach_ros.messages.topics import Qos, Topic
+from contact_reach_ros.resources import versions
+from contact_reach_ros.ros.inbox import LoopGroup, qos_profile
 from contact_reach_ros.ros.lockstep import FOREVER_NS
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
@@ -67,13 +63,12 @@ class RecorderNode(ManagedNode):
         settings: RecorderSettings = self.settings[""]
         directory = Path(settings.bag or f"contact_reach_{datetime.datetime.now():%Y_%m_%d-%H_%M_%S}")
         self._ended_early = ""
-        wanted = [self._resolved(name) for name in settings.topics or [topic.name for topic in topics.ALL]]
-        custom_data = _provenance() | settings.texts()
+        made_by = yaml.safe_dump({**versions(), "rmw": get_rmw_implementation_identifier()})
+        custom_data = {"versions": made_by, **settings.texts()}
         shortage = shortage_in(directory)
         if shortage:
             raise BagError(f"bag '{directory}' is not begun: {shortage}")
-        writer = BagWriter(directory, custom_data=custom_data)
-        self._recorder = TopicRecorder(self, writer, wanted)
+        self._recorder = TopicRecorder(self, BagWriter(directory, custom_data=custom_data))
         self._next_discovery = self._next_flush = time.monotonic()
         self.get_logger().info(f"recording to {directory}")
 
@@ -99,13 +94,6 @@ class RecorderNode(ManagedNode):
         with self._lock:
             if self._recorder is not None:
                 self._record(self._recorder)
-
-    def _resolved(self, name: str) -> str:
-        try:
-            validate_topic_name(name)
-        except InvalidTopicNameException as error:
-            raise BagError(f"parameter topics: '{name}' is no topic name; expected one, without a type") from error
-        return self.resolve_topic_name(name)
 
     def _record(self, recorder: TopicRecorder) -> None:
         now = time.monotonic()
@@ -140,13 +128,6 @@ class RecorderNode(ManagedNode):
         size = sum(file.stat().st_size for file in directory.iterdir()) / MEGA
         line = f"recorded {written} messages ({recorder.lost} lost), {size:.1f} MB, in {directory}"
         self.get_logger().info(line)
-
-
-def _provenance() -> dict[str, str]:
-    """Return the versions that record, as custom data."""
-    made_by = {"versions": yaml.safe_dump({**versions(), "rmw": get_rmw_implementation_identifier()})}
-    revision = git_revision()
-    return made_by if revision is None else {**made_by, "git_revision": revision}
 
 
 class LossCounter:
@@ -194,17 +175,16 @@ class LossCounter:
         self._expected.append(sequence + 1)
 
 
-@dataclasses.dataclass
-class _Recorded:
+class _Recorded(NamedTuple):
     name: str
-    message_class: type
-    qos: QoSProfile
+    kind: type
+    qos: Qos
     subscription: Subscription
     loss: LossCounter
 
 
 class TopicRecorder:
-    """Moves the messages of topics to a bag.
+    """Moves the messages of the stack's topics to a bag.
 
     Parameters
     ----------
@@ -212,25 +192,23 @@ class TopicRecorder:
         Owner of the subscriptions.
     writer :
         The bag, which `stop` closes.
-    wanted :
-        Full names of the topics.
 
     Attributes
     ----------
     stamp_ns :
-        Of the last joint state that is in the bag; None before the first, `FOREVER_NS` if none are recorded.
+        Of the last joint state that is in the bag; None before the first.
     """
 
-    def __init__(self, node: Node, writer: BagWriter, wanted: Sequence[str]) -> None:
+    def __init__(self, node: Node, writer: BagWriter) -> None:
         self.writer = writer
+        self.stamp_ns: int | None = None
         self._node = node
         # Waking up for every message costs ten times as much as taking those gathered in 20 ms.
         self._group = LoopGroup()
-        self._recorded: dict[str, _Recorded] = {}
-        self._publisher_counts: dict[str, int] = {}
-        self._wanted = wanted
+        self._topics = {node.resolve_topic_name(topic.name): topic for topic in topics.ALL}
         self._states = node.resolve_topic_name(topics.JOINT_STATES.name)
-        self.stamp_ns: int | None = None if self._states in self._wanted else FOREVER_NS
+        self._publisher_counts = dict.fromkeys(self._topics, 0)
+        self._recorded: dict[str, _Recorded] = {}
 
     @property
     def lost(self) -> int:
@@ -238,21 +216,18 @@ class TopicRecorder:
         return sum(recorded.loss.lost for recorded in self._recorded.values())
 
     def discover(self) -> None:
-        """Subscribe to the wanted topics that have appeared since the last call; raises `BagError` if writing fails."""
-        for name in self._wanted:
+        """Subscribe to the topics that have got publishers since the last call; raises `BagError` if writing fails."""
+        for name, topic in self._topics.items():
             # Counting is cheap; the publishers' offers are looked up only when their number has changed.
-            count = self._node.count_publishers(name)
-            if count == self._publisher_counts.get(name, 0):
+            if self._node.count_publishers(name) == self._publisher_counts[name]:
                 continue
             publishers = self._node.get_publishers_info_by_topic(name)
             self._publisher_counts[name] = len(publishers)
-            if publishers and name not in self._recorded:
-                try:
-                    self._begin(name, publishers)
-                except BagError as error:
-                    self._node.get_logger().error(f"not recorded: {error}")
-            elif publishers:
-                self._relax(self._recorded[name], acceptable_qos(publishers))
+            offered = [publisher.qos_profile for publisher in publishers if publisher.topic_type == topic.type_name]
+            if len(offered) < len(publishers):
+                self._node.get_logger().error(f"not recorded: what is published on '{name}' is no {topic.type_name}")
+            if offered:
+                self._subscribe(name, topic, offered)
 
     def drain(self) -> None:
         """Write what has arrived, in the order of arrival; raises `BagError` if writing fails."""
@@ -261,7 +236,7 @@ class TopicRecorder:
             handle = recorded.subscription.handle
             with handle:
                 for _ in range(HISTORY_DEPTH):
-                    taken = handle.take_message(recorded.message_class, True)
+                    taken = handle.take_message(recorded.kind, True)
                     if taken is None:
                         break
                     data, about = taken
@@ -278,7 +253,7 @@ class TopicRecorder:
     def flush(self) -> None:
         """Note in the bag what was lost so far, and start writing it to the disk; raises `BagError` if that fails."""
         self._note_losses()
-        self.writer.flush(durable=True)
+        self.writer.flush()
 
     def stop(self) -> None:
         """Write what is still in transit, complete the bag and unsubscribe; raises `BagError` if writing fails."""
@@ -293,57 +268,32 @@ class TopicRecorder:
     def _note_losses(self) -> None:
         known = all(recorded.loss.known for recorded in self._recorded.values())
         self.writer.set_custom_data(LOST, str(self.lost) if known else "unknown")
-        for name, recorded in self._recorded.items():
+        for recorded in self._recorded.values():
             if recorded.loss.lost:
-                self.writer.set_custom_data(f"{LOST}{name}", str(recorded.loss.lost))
+                self.writer.set_custom_data(f"{LOST}{recorded.name}", str(recorded.loss.lost))
 
-    def _begin(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
-        types = sorted({publisher.topic_type for publisher in publishers})
-        if len(types) > 1:
-            raise BagError(f"topic '{name}' has the types {', '.join(types)}, expected one")
-        kind = message_class(types[0])
-        qos = acceptable_qos(publishers)
-        self.writer.add_topic(RecordedTopic(name, types[0], tuple(map(_offered_qos, publishers))))
-        self._recorded[name] = _Recorded(name, kind, qos, self._subscribe(name, kind, qos), LossCounter())
+    def _subscribe(self, name: str, topic: Topic, offered: Sequence[QoSProfile]) -> None:
+        """Request the strictest quality of service that every publisher offers, and has offered so far.
 
-    def _relax(self, recorded: _Recorded, acceptable: QoSProfile) -> None:
-        """Subscribe again if a publisher has joined that offers less: the earlier request would not match it."""
-        loses_reliability = acceptable.reliability != recorded.qos.reliability == ReliabilityPolicy.RELIABLE
-        loses_latching = acceptable.durability != recorded.qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        if loses_reliability or loses_latching:
+        Streams are latched in lockstep only, and the driver of a real arm may offer best effort.
+        """
+        before = self._recorded.get(name)
+        least = Qos(HISTORY_DEPTH, latched=True) if before is None else before.qos
+        reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
+        latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
+        qos = Qos(HISTORY_DEPTH, least.reliable and reliable, least.latched and latched)
+        if before is None:
+            self.writer.add_topic(RecordedTopic(name, topic.type_name, topic.qos.depth, topic.qos.latched))
+        elif qos == before.qos:
+            return
+        else:
             self.drain()
-            self._node.destroy_subscription(recorded.subscription)
-            recorded.qos = acceptable
-            recorded.subscription = self._subscribe(recorded.name, recorded.message_class, acceptable)
-
-    def _subscribe(self, name: str, kind: type, qos: QoSProfile) -> Subscription:
-        return self._node.create_subscription(kind, name, lambda _: None, qos, callback_group=self._group, raw=True)
-
-
-def acceptable_qos(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
-    """Return the strictest quality of service that every publisher offers, with a deep queue."""
-    offered = [publisher.qos_profile for publisher in publishers]
-    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
-    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
-    return QoSProfile(
-        depth=HISTORY_DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
-
-
-def message_class(type_name: str) -> type:
-    """Return the class of a message type; raises `BagError` if the type is not installed."""
-    package, _, name = check_type_name(type_name).split("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError) as error:
-        raise BagError(f"message type '{type_name}' is not installed; source the workspace that has it") from error
-
-
-def _offered_qos(publisher: TopicEndpointInfo) -> OfferedQos:
-    qos = publisher.qos_profile
-    return OfferedQos(qos.history.short_key, qos.depth, qos.reliability.short_key, qos.durability.short_key)
+            self._node.destroy_subscription(before.subscription)
+        subscription = self._node.create_subscription(
+            topic.type, name, lambda _: None, qos_profile(qos), callback_group=self._group, raw=True
+        )
+        loss = LossCounter() if before is None else before.loss
+        self._recorded[name] = _Recorded(name, topic.type, qos, subscription, loss)
 
 
 if __name__ == "__main__":

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import signal
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from contact_reach_ros.bags.reader import BagReader, RawMessage
-from contact_reach_ros.bags.topics import CDR, OfferedQos
-from contact_reach_ros.errors import BagError, ContactReachError, InputError
+from contact_reach_ros.bags.topics import CDR, RecordedTopic
+from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.nodes.recorder import message_class
 from contact_reach_ros.ros.discovery import CHOICES
 from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.interfaces import REPLAY
@@ -39,9 +37,8 @@ _STALLED_NS = 500_000_000
 def make_parser() -> argparse.ArgumentParser:
     """Make the parser of the options of `run_replay`."""
     parser = argparse.ArgumentParser(prog=REPLAY, description="Publishes a bag's messages under /replay.")
-    parser.add_argument("bag", type=Path, metavar="BAG", help="a directory with metadata.yaml, or one mcap file")
+    parser.add_argument("bag", type=Path, metavar="BAG", help="a directory, or one mcap file")
     parser.add_argument("--rate", type=float, default=1.0, help="recorded time per time, 0.01 to 100 (default: 1)")
-    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="skip the first seconds (default: 0)")
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="publish these recorded topics only")
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until interrupted")
     parser.add_argument("--discovery", default="host", choices=CHOICES, help="who hears it (default: host)")
@@ -72,14 +69,11 @@ def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)
     for note in reader.notes:
         print(f"{REPLAY}: {note}", file=sys.stderr)
     chosen = choose_topics(reader, options.topics)
-    start_ns = reader.start_ns + int(options.start * NANOSECONDS)
-    if not 0.0 <= options.start <= reader.duration:
-        raise InputError(f"--start {options.start:g}: expected 0 to {reader.duration:.3f} s, which the bag has")
     stopped = threading.Event()
     with bare_node(REPLAY, options.discovery, arguments) as node:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: stopped.set())
-        publish(node, reader, chosen, start_ns, options, stopped)
+        publish(node, reader, chosen, options, stopped)
 
 
 def choose_topics(reader: BagReader, wanted: Sequence[str] | None) -> dict[str, type]:
@@ -100,12 +94,13 @@ def choose_topics(reader: BagReader, wanted: Sequence[str] | None) -> dict[str, 
     for name in names:
         if name not in known:
             raise InputError(f"--topics {name}: the bag has no such topic; it has {', '.join(sorted(known))}")
-        try:
-            if known[name].encoding != CDR:
-                raise BagError(f"its messages are {known[name].encoding or 'of no known encoding'}, expected {CDR}")
-            chosen[name] = message_class(known[name].type)
-        except BagError as error:
-            print(f"{REPLAY}: {name} is left out: {error}", file=sys.stderr)
+        encoding, type_name = known[name].encoding, known[name].type
+        kind = message_class(type_name) if encoding == CDR else None
+        if kind is not None:
+            chosen[name] = kind
+        else:
+            what = f"{encoding or 'an unknown encoding'} of {type_name or 'an unknown type'}"
+            print(f"{REPLAY}: {name} is left out: it has {what}, expected {CDR} of an installed type", file=sys.stderr)
     if not chosen:
         raise InputError(f"{reader.path}: there is no topic that can be published")
     return chosen
@@ -115,7 +110,6 @@ def publish(
     node: Node,
     reader: BagReader,
     chosen: Mapping[str, type],
-    start_ns: int,
     options: argparse.Namespace,
     stopped: threading.Event,
 ) -> None:
@@ -131,25 +125,21 @@ def publish(
         The bag.
     chosen
         Topics to publish, with their message classes.
-    start_ns
-        Time of the recording to begin at, ns since the epoch.
     options
         With `rate`, and with `loop`: whether to begin again at the end.
     stopped
         Ends the replay; a signal handler may set it.
     """
     known_notes = reader.notes
-    profiles = {name: publisher_qos(name, reader.topics[name].offered_qos) for name in chosen}
     publishers = {
-        name: node.create_publisher(kind, f"/{REPLAY}{name}", profiles[name]) for name, kind in chosen.items()
+        name: node.create_publisher(kind, f"/{REPLAY}{name}", qos_profile(publisher_qos(reader.topics[name])))
+        for name, kind in chosen.items()
     }
     # Subscriptions have to be matched before the first message.
     stopped.wait(_MATCHED_S)
     began, count, rounds = time.monotonic(), 0, 0
-    for message in _latched_before(reader, profiles, start_ns):
-        publishers[message.topic].publish(message.data)
     while not stopped.is_set() and (options.loop or not rounds):
-        for message in paced(reader.raw_messages(list(chosen), start_ns), start_ns, options.rate, stopped):
+        for message in paced(reader.raw_messages(list(chosen)), reader.start_ns, options.rate, stopped):
             publishers[message.topic].publish(message.data)
             count += 1
         rounds += 1
@@ -160,21 +150,6 @@ def publish(
     for note in reader.notes:
         if note not in known_notes:
             print(f"{REPLAY}: {note}", file=sys.stderr)
-
-
-def _latched_before(reader: BagReader, profiles: Mapping[str, QoSProfile], start_ns: int) -> list[RawMessage]:
-    """Messages of the skipped part that latched topics would still show."""
-    kept: dict[str, deque[RawMessage]] = {
-        name: deque(maxlen=profile.depth)
-        for name, profile in profiles.items()
-        if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-    }
-    if start_ns > reader.start_ns:
-        for message in reader.raw_messages(list(kept)):
-            if message.log_time_ns >= start_ns:
-                break
-            kept[message.topic].append(message)
-    return sorted((message for messages in kept.values() for message in messages), key=lambda raw: raw.log_time_ns)
 
 
 def paced(
@@ -205,18 +180,23 @@ def paced(
         yield message
 
 
-def publisher_qos(name: str, offered: Sequence[OfferedQos]) -> QoSProfile:
-    """Return the best quality of service that any recorded publisher offered: it reaches everybody they reached.
+def publisher_qos(topic: RecordedTopic) -> topics.Qos:
+    """Return a reliable offer, which reaches everybody, latched as the topic was.
 
-    A recorder has it from discovery, which does not report depths. The depth is that of the stack's topic, or one
-    message for a latched topic and a deep queue for any other.
+    The depth is that of the stack's topic, or one message for another latched topic and a deep queue for any other.
     """
-    reliable = not offered or any(profile.reliability != "best_effort" for profile in offered)
-    latched = any(profile.durability == "transient_local" for profile in offered)
-    known = topics.find(name)
-    usual = known.qos if known is not None else topics.LATCHED if latched else topics.STREAM
-    depth = max([usual.depth, *(profile.depth for profile in offered)])
-    return qos_profile(topics.Qos(depth, reliable, latched))
+    known = topics.find(topic.name)
+    usual = known.qos if known is not None else topics.LATCHED if topic.latched else topics.STREAM
+    return usual._replace(latched=topic.latched)
+
+
+def message_class(type_name: str) -> type | None:
+    """Return the class of a message type, such as sensor_msgs/msg/JointState; None if it is not installed."""
+    package, _, name = type_name.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name, None)
+    except (ImportError, TypeError, ValueError):
+        return None
 
 
 if __name__ == "__main__":

@@ -100,7 +100,6 @@ class Observer:
         settings: ObserverSettings,
         budget: ContactBudget,
         period: float = 0.001,
-        inertias: str = "nominal",
         locates: bool = True,
     ) -> None:
         """Make an observer that has seen nothing.
@@ -111,8 +110,6 @@ class Observer:
             What to observe, and how.
         period
             Nominal time between joint states, s.
-        inertias
-            The arm's inertia set to observe with.
         locates
             Whether to locate contacts, which takes longer than everything else.
         """
@@ -120,8 +117,8 @@ class Observer:
         momentum = settings.momentum.resolve(arm)
         self.arm = arm
         shifted = arm.with_center_shifts(momentum.center_shift_x, momentum.center_shift_y)
-        nominal = RobotModel(arm, inertias)
-        self._models = Models(nominal if shifted is arm else RobotModel(shifted, inertias), nominal)
+        nominal = RobotModel(arm)
+        self._models = Models(nominal if shifted is arm else RobotModel(shifted), nominal)
         self.momentum = MomentumObserver(settings.momentum, self._models.observed, period)
         self.monitor = SafetyMonitor(arm, settings.safety, budget, period)
         self.contact: Contact | None = None

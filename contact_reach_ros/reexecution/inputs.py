@@ -4,31 +4,63 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from contact_reach_ros.arm import Array, JointState
+from contact_reach_ros.arm import Arm, Array, JointState
+from contact_reach_ros.arms import ROBOT_DIGEST, ROBOT_TABLE, known_parameters
 from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, read_raw
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.signals import SETTINGS, recorded_arm
-from contact_reach_ros.errors import BagError
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.messages.intake import COLUMNS, TOPICS, Taken
 from contact_reach_ros.messages.safety_state import read_reason
 from contact_reach_ros.messages.values import checked_stamp, read_settings
-from contact_reach_ros.reexecution.settings import recorded_sections
+from contact_reach_ros.observer.budget import ContactBudget, load_budget
+from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
+from contact_reach_ros.planning.settings import PLANNER_SECTIONS
+from contact_reach_ros.removed import removed_parameter
+from contact_reach_ros.settings import (
+    Sections,
+    check_name,
+    check_node_names,
+    check_parameters_in,
+    make_settings,
+    parameters_in,
+)
 from contact_reach_ros.timing import NANOSECONDS
 
 JOINT_STATES = TOPICS[Taken.JOINT_STATES]
-COMMANDS = TOPICS[Taken.COMMANDS]
+COMMANDS = "effort_controller/commands"
 ADAPTER_COMMANDS = "adapter/commands"
 SHADOW_COMMANDS = "shadow/commands"
 EXTERNAL_TORQUE = "external_torque"
 OBSTACLES = "obstacles"
 
-_PLAIN = (*(name for name in TOPICS.values() if name not in (JOINT_STATES, COMMANDS)), OBSTACLES)
+BUDGET = "budget"
+"""Prefix of the contact budget, which comes from a file of its own."""
+
+SECTIONS: Mapping[str, Sections] = {
+    "controller": {**CONTROLLER_SECTIONS, **OBSERVER_SECTIONS, BUDGET: ContactBudget},
+    "observer": {**OBSERVER_SECTIONS, BUDGET: ContactBudget},
+    "planner": {
+        **PLANNER_SECTIONS,
+        "impedance": ImpedanceSettings,
+        "supervision": SupervisionSettings,
+        BUDGET: ContactBudget,
+    },
+}
+"""What the nodes that are re-executed record, by parameter prefix."""
+
+_OF_BAGS = (ROBOT_DIGEST, ROBOT_TABLE)
+"""What nodes report of their arm, beside parameters."""
+
+_PLAIN = (*(name for name in TOPICS.values() if name != JOINT_STATES), OBSTACLES)
 """Topics of few messages, which are decoded when they are asked for."""
 
 
@@ -199,3 +231,43 @@ def _join(messages: Iterable[Any]) -> Intake:
 
 def _keep(kept: dict[int, RawMessage], message: RawMessage) -> None:
     kept.setdefault(message.publish_time_ns, message)
+
+
+def recorded_sections(node: str, recorded: Mapping[str, Any], arm: Arm, bag: object) -> dict[str, Any]:
+    """The settings objects of a node by prefix; `recorded` are its values by full name.
+
+    Settings that version 0.2 had and this one has as constants are left out: re-execution shows whether they differed.
+
+    Raises
+    ------
+    BagError
+        If a name or a value is none of this version's: the node may have worked in another way. `bag` is named.
+    """
+    source, known = f"bag '{bag}', settings of the {node}", known_parameters(SECTIONS[node], arm)
+    try:
+        for name in recorded:
+            if name not in _OF_BAGS and not removed_parameter(name.removeprefix(f"{BUDGET}.")):
+                check_name(known, name, source)
+        return make_settings(recorded, SECTIONS[node], arm, source)
+    except SettingsError as error:
+        raise BagError(f"{error}; use the version that recorded the bag") from error
+
+
+def changed_sections(node: str, recorded: Mapping[str, Any], arm: Arm, file: Path) -> dict[str, Any]:
+    """As `recorded_sections`, with the values that a parameter file has for controller or observer on top.
+
+    Raises `SettingsError` if the file has nothing for these nodes, or something that they do not accept.
+    """
+    check_node_names(file)
+    changes = {}
+    for each in ("controller", "observer"):
+        check_parameters_in(file, each, known_parameters(SECTIONS[each], arm))
+        changes[each] = parameters_in(file, each)
+    if not any(changes.values()):
+        raise SettingsError(f"{file}: has nothing for controller or observer; expected '<node>: ros__parameters: ...'")
+    # The controller watches itself with the observer's settings.
+    own = changes[node] | changes["observer"]
+    made = make_settings({**recorded, **own}, SECTIONS[node], arm, f"{file}: {node}")
+    if "contact_budget" in own:
+        made[BUDGET] = load_budget(own["contact_budget"]).resolve(arm)
+    return made

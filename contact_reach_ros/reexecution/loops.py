@@ -1,6 +1,6 @@
 """Re-execution of controller and observer on what they took in, the same to the last digit.
 
-The very objects that the nodes run take the recorded messages in the recorded order. With changed settings the result
+The very objects that the nodes run take the recorded messages in the recorded order. With other settings the result
 is how they would have answered the same states, which would soon have become other states.
 """
 
@@ -9,10 +9,10 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.control.controller import Controller, ControllerSettings
@@ -24,13 +24,14 @@ from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.reexecution.inputs import (
     ADAPTER_COMMANDS,
+    BUDGET,
     COMMANDS,
     EXTERNAL_TORQUE,
     SHADOW_COMMANDS,
     RecordedInputs,
     Row,
+    changed_sections,
 )
-from contact_reach_ros.reexecution.settings import BUDGET, ChangedSettings
 from contact_reach_ros.timing import NANOSECONDS, PERIOD
 
 TOLERANCE = 1e-9
@@ -63,16 +64,12 @@ class Reexecution:
     ----------
     node :
         Its name.
-    stamp_ns :
-        (k,) of the joint states that it answered.
-    values :
-        (k, n) re-executed torques or residuals, N m.
-    recorded :
-        (k, n) the recorded ones; NaN where the bag lacks them.
+    outputs :
+        Number of its torques or residuals.
     compared :
         How many were compared: those that are in the bag, from where the node's state is known.
     largest_difference :
-        N m; NaN if nothing was compared.
+        N m; NaN if nothing was compared. With other settings the largest change, though nothing counts as compared.
     first_difference :
         None if there is none.
     reasons :
@@ -82,9 +79,7 @@ class Reexecution:
     """
 
     node: str
-    stamp_ns: NDArray[np.int64]
-    values: Array
-    recorded: Array
+    outputs: int
     compared: int
     largest_difference: float
     first_difference: Difference | None
@@ -92,26 +87,12 @@ class Reexecution:
     notes: tuple[str, ...]
 
 
-def reexecute(node: str, inputs: RecordedInputs, changes: ChangedSettings | None = None) -> Reexecution:
-    """Re-execute the controller or the observer.
+def reexecute(node: str, inputs: RecordedInputs, other: Path | None = None) -> Reexecution:
+    """Re-execute the controller or the observer, with other settings if there is a parameter file with them.
 
-    Raises
-    ------
-    BagError
-        If the bag lacks what the node took in, or its settings.
-    SettingsError
-        If changed settings are not accepted.
+    Raises `BagError` if the bag lacks its inputs or settings, `SettingsError` if the other ones are not accepted.
     """
-    loop = _ControllerLoop if node == "controller" else _ObserverLoop
-    return loop(inputs, changes or ChangedSettings()).run()
-
-
-class _Output(NamedTuple):
-    number: int
-    stamp_ns: int
-    value: Array
-    recorded: Array
-    is_compared: bool
+    return (_ControllerLoop if node == "controller" else _ObserverLoop)(inputs, other).run()
 
 
 class _Loop:
@@ -121,23 +102,25 @@ class _Loop:
     recorded outputs until it agrees with the recording again.
     """
 
-    def __init__(self, node: str, inputs: RecordedInputs, changes: ChangedSettings) -> None:
+    def __init__(self, node: str, inputs: RecordedInputs, other: Path | None) -> None:
         if node not in inputs.intakes:
             raise BagError(f"bag '{inputs.bag.path}' lacks intake/{node}: what the {node} took in is not known")
-        recorded = inputs.sections(node)
-        self.node, self.inputs, self.changes = node, inputs, changes
-        self.settings: dict[str, Any] = changes.apply(node, inputs.settings[node], inputs.arm) if changes else recorded
+        self.node, self.inputs, self.settings = node, inputs, inputs.sections(node)
         self.period = 1.0 / float(inputs.settings[node].get("state_rate", 1.0 / PERIOD))
         self.topic = EXTERNAL_TORQUE
         if node == "controller":
-            supervision = recorded["supervision"]
+            supervision = self.settings["supervision"]
             self.topic = ADAPTER_COMMANDS if supervision.adapter else COMMANDS
             if supervision.shadow:
                 self.topic = SHADOW_COMMANDS
+        self.is_changed = other is not None
+        if other is not None:
+            self.settings = changed_sections(node, inputs.settings[node], inputs.arm, other)
         self.intake = inputs.intakes[node]
         self.in_step = not self.intake.starts_late
-        self.missing = self.uncompared = 0
-        self.outputs: list[_Output] = []
+        self.missing = self.uncompared = self.compared = self.outputs = self.last_stamp_ns = 0
+        self.largest_difference = float("nan")
+        self.first_difference: Difference | None = None
         self.reasons: list[str] = []
         self.unpublished = ""
         """Reason of a stop after which no joint state was executed."""
@@ -150,16 +133,12 @@ class _Loop:
             if row.what in self.handlers:
                 with contextlib.suppress(InputError):  # as the node refused it
                     self.handlers[row.what](row)
-        compared = [output for output in self.outputs if output.is_compared]
-        differences = [np.abs(output.value - output.recorded) for output in compared]
         return Reexecution(
             self.node,
-            np.array([output.stamp_ns for output in self.outputs], dtype=np.int64),
-            np.reshape([output.value for output in self.outputs], (-1, self.inputs.arm.n)),
-            np.reshape([output.recorded for output in self.outputs], (-1, self.inputs.arm.n)),
-            len(compared),
-            float(np.max(differences)) if compared else float("nan"),
-            self._first_difference(compared, differences),
+            self.outputs,
+            self.compared,
+            self.largest_difference,
+            self.first_difference or self._other_reasons(),
             tuple(self.reasons),
             self._notes(),
         )
@@ -167,17 +146,29 @@ class _Loop:
     def make_observer(self, period: float, locates: bool = True) -> Observer:
         """The observer of the node's settings, for states every `period` seconds."""
         settings = ObserverSettings.from_sections(self.settings)
-        return Observer(self.inputs.arm, settings, self.settings[BUDGET], period, self.changes.inertia_set, locates)
+        return Observer(self.inputs.arm, settings, self.settings[BUDGET], period, locates=locates)
 
     def give(self, row: Row, stamp_ns: int, value: Array, recorded: Array | None) -> None:
-        """Keep an output, beside the recorded one unless the bag lacks it."""
-        can_compare = recorded is not None and not self.changes
+        """Compare an output with the recorded one, unless the bag lacks it."""
+        self.outputs, self.last_stamp_ns = self.outputs + 1, stamp_ns
         if recorded is None:
-            recorded = np.full(self.inputs.arm.n, np.nan)
-        if can_compare and not self.in_step:
-            self.in_step = float(np.abs(value - recorded).max()) <= TOLERANCE
-            self.uncompared += not self.in_step
-        self.outputs.append(_Output(row.output, stamp_ns, value, recorded, can_compare and self.in_step))
+            return
+        difference = np.abs(value - recorded)
+        if self.is_changed:
+            self.largest_difference = float(np.fmax(self.largest_difference, difference.max()))
+            return
+        # Not `>`: what is not a number differs, too.
+        is_equal = bool((difference <= TOLERANCE).all())
+        self.in_step = self.in_step or is_equal
+        if not self.in_step:
+            self.uncompared += 1
+            return
+        self.compared += 1
+        self.largest_difference = float(np.fmax(self.largest_difference, difference.max()))
+        if not is_equal and self.first_difference is None:
+            joint = int(np.argmax(np.nan_to_num(difference, nan=np.inf)))
+            field = f"{self.topic} of {self.inputs.arm.joint_names[joint]}"
+            self.first_difference = Difference(row.output, stamp_ns, field, float(recorded[joint]), float(value[joint]))
 
     def lose(self) -> None:
         """Note that a message is missing: what follows cannot be compared until it agrees."""
@@ -203,28 +194,21 @@ class _Loop:
         }
         return tuple(f"{count} {text}" for text, count in counts.items() if count)
 
-    def _first_difference(self, compared: list[_Output], differences: list[Array]) -> Difference | None:
-        for output, difference in zip(compared, differences, strict=True):
-            # Not `>`: what is not a number differs, too.
-            if not (difference <= TOLERANCE).all():
-                joint = int(np.argmax(np.nan_to_num(difference, nan=np.inf)))
-                field = f"{self.topic} of {self.inputs.arm.joint_names[joint]}"
-                values = float(output.recorded[joint]), float(output.value[joint])
-                return Difference(output.number, output.stamp_ns, field, *values)
+    def _other_reasons(self) -> Difference | None:
+        """The difference if the node stopped the arm for other reasons than the recorded ones."""
         recorded = self.recorded_reasons
         is_whole = self.in_step and not self.intake.starts_late and not self.intake.lost
         # Whether a stop after the last joint state was published, the bag does not tell.
-        if self.changes or not is_whole or recorded in (self.reasons, [*self.reasons, self.unpublished]):
+        if self.is_changed or not is_whole or recorded in (self.reasons, [*self.reasons, self.unpublished]):
             return None
-        stamp_ns = self.outputs[-1].stamp_ns if self.outputs else 0
-        return Difference(len(self.outputs), stamp_ns, "stop reasons", str(recorded), str(self.reasons))
+        return Difference(self.outputs, self.last_stamp_ns, "stop reasons", str(recorded), str(self.reasons))
 
 
 class _ControllerLoop(_Loop):
-    def __init__(self, inputs: RecordedInputs, changes: ChangedSettings) -> None:
-        super().__init__("controller", inputs, changes)
+    def __init__(self, inputs: RecordedInputs, other: Path | None) -> None:
+        super().__init__("controller", inputs, other)
         sections = (self.settings[prefix] for prefix in ("impedance", "limits", "supervision"))
-        self.controller = Controller(inputs.arm, ControllerSettings(*sections), self.period, changes.inertia_set)
+        self.controller = Controller(inputs.arm, ControllerSettings(*sections), self.period)
         self.watch = self.make_observer(self.controller.watch_period, locates=False)
         self.controller.watch_with(self.watch)
         self.residuals = inputs.by_stamp(EXTERNAL_TORQUE)
@@ -308,8 +292,8 @@ class _ControllerLoop(_Loop):
 
 
 class _ObserverLoop(_Loop):
-    def __init__(self, inputs: RecordedInputs, changes: ChangedSettings) -> None:
-        super().__init__("observer", inputs, changes)
+    def __init__(self, inputs: RecordedInputs, other: Path | None) -> None:
+        super().__init__("observer", inputs, other)
         self.observer = self.make_observer(self.period)
         self.recorded = inputs.by_stamp(self.topic)
         self.last_recorded: Array | None = None

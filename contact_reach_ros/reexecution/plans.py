@@ -1,34 +1,28 @@
 """Re-execution of the planner: any plan of a bag made again, the same within tolerances on any machine.
 
 The bag has what each plan was made for and started from, and the solution that the solver found. Prediction, obstacles,
-transfer model and cost are computed again with this solution, and compared. With changed settings the solver searches
-again, from where it started.
+transfer model and cost are computed again with this solution, and compared.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
-import time
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import BagError, InputError
-from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
+from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
 from contact_reach_ros.messages.plan_request import Parts, read_memory, read_request
 from contact_reach_ros.messages.values import nanoseconds, split_array
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
-from contact_reach_ros.planning.solver.hybrid import HybridSolver
-from contact_reach_ros.planning.solver.solver import FloatArray, Solution, Solver
+from contact_reach_ros.planning.solver.solver import FloatArray, Solution
 from contact_reach_ros.planning.terms import Problem
-from contact_reach_ros.reexecution.inputs import OBSTACLES, RecordedInputs
-from contact_reach_ros.reexecution.settings import BUDGET, ChangedSettings
+from contact_reach_ros.reexecution.inputs import BUDGET, OBSTACLES, RecordedInputs
 from contact_reach_ros.world.spheres import Spheres
 
 TOLERANCES = {"cost": 1e-4, "positions": 1e-5, "rotations": 1e-4, "postures": 1e-4}
@@ -45,19 +39,16 @@ class ReexecutedPlan:
     Attributes
     ----------
     plan
-        The plan with the recorded solution or, with changed settings, of a new search.
+        The plan with the recorded solution.
     statistics
         The recorded ones, by the keys of plan/statistics.
     differences
-        From the recorded plan, by the names and in the units of `TOLERANCES`; none with changed settings.
-    seconds
-        Wall-clock time.
+        From the recorded plan, by the names and in the units of `TOLERANCES`.
     """
 
     plan: Plan
     statistics: Mapping[str, str]
     differences: Mapping[str, float]
-    seconds: float
 
     @property
     def exceeded(self) -> str:
@@ -111,69 +102,47 @@ class RecordedPlans:
         requests = (split_array(message) for message in inputs.messages("plan/request"))
         self._requests: dict[int, Parts] = {int(parts["plan"][0]): parts for parts in requests if "plan" in parts}
         if not self.numbers:
-            earlier = "an earlier version recorded it, which can solve them: use that version"
             raise BagError(
-                f"bag '{self._path}': no plan can be solved again, expected plan/request beside plan/statistics; "
-                + (earlier if self.statistics else "record a run in which the planner made plans")
+                f"bag '{self._path}': no plan can be solved again, expected plan/request beside plan/statistics: "
+                "record a run in which the planner makes plans, or solve those of version 0.2 with that version"
             )
-        self._settings = inputs.sections("planner")
+        self._settings = settings = inputs.sections("planner")
         self._solution = _RecordedSolution()
+        # Results must not depend on how fast the machine is.
+        planning = dataclasses.replace(settings["planning"], deadline=0.0)
+        force, capacity = settings[BUDGET].permitted_force, settings[""].max_spheres
+        gains, reach = settings["impedance"], settings["supervision"].max_position_error
+        self._planner = RecedingHorizonPlanner(
+            inputs.arm, planning, gains, force, capacity, reach, lambda *_: self._solution
+        )
 
     @property
     def numbers(self) -> list[int]:
         """Plans that can be solved again."""
         return sorted(set(self.statistics) & set(self._requests))
 
-    def solve(self, number: int, changes: ChangedSettings | None = None) -> ReexecutedPlan:
-        """Solve a plan again, with changed settings if there are any.
-
-        Raises
-        ------
-        BagError
-            If the bag lacks the plan or what it was made from.
-        SettingsError
-            If changed settings are not accepted.
-        """
+    def solve(self, number: int) -> ReexecutedPlan:
+        """Solve a plan again; raises `BagError` if the bag lacks the plan or what it was made from."""
         if number not in self.numbers:
             known = self.numbers
             raise BagError(
                 f"bag '{self._path}' lacks plan {number}; expected one of its {len(known)} plans from {known[0]} to "
                 f"{known[-1]}"
             )
-        began = time.perf_counter()
         statistics, parts = self.statistics[number], self._requests[number]
         request = read_request(parts, int(statistics["state ns"]), self._effects[number])
         request = request._replace(spheres=self._obstacles(number, int(statistics["obstacles sent ns"])))
         knot_duration_s, ramp_s = self._settings["planning"].knot_duration, self._settings["impedance"].reference_ramp
-        memory = read_memory(parts, request, knot_duration_s, ramp_s)
-        if changes:
-            inputs = self._inputs
-            settings = changes.apply("planner", inputs.settings["planner"], inputs.arm)
-            planner = self._make_planner(settings, HybridSolver)
-        else:
-            planner = self._evaluator
+        self._planner.memory = read_memory(parts, request, knot_duration_s, ramp_s)
         self._solution.best = parts["found"]
-        planner.memory = memory if memory is None or len(memory.best) == planner.size else None
-        plan = planner.plan(request)
-        differences = {} if changes else self._differences(plan, number)
-        return ReexecutedPlan(plan, statistics, differences, time.perf_counter() - began)
-
-    @functools.cached_property
-    def _evaluator(self) -> RecedingHorizonPlanner:
-        return self._make_planner(self._settings, lambda *_: self._solution)
-
-    def _make_planner(self, settings: Mapping[str, Any], solver: Callable[..., Solver]) -> RecedingHorizonPlanner:
-        # Results must not depend on how fast the machine is.
-        planning = dataclasses.replace(settings["planning"], deadline=0.0)
-        force, capacity = settings[BUDGET].permitted_force, settings[""].max_spheres
-        reach = settings["supervision"].max_position_error
-        return RecedingHorizonPlanner(self._inputs.arm, planning, settings["impedance"], force, capacity, reach, solver)
+        plan = self._planner.plan(request)
+        return ReexecutedPlan(plan, statistics, self._differences(plan, number))
 
     def _obstacles(self, number: int, sent_ns: int) -> Spheres:
         """The obstacles that the planner knew; `sent_ns` is 0 for none."""
         if not sent_ns:
             return Spheres.none()
-        reader = ObstacleMarkerReader(self._inputs.arm.base_frame, AssumedMaterial.of(self._settings[""]))
+        reader = ObstacleMarkerReader(self._inputs.arm.base_frame, self._settings[""])
         spheres = None
         # Obstacles may rest where they were seen first.
         for data in self._inputs.data_until(OBSTACLES, sent_ns):

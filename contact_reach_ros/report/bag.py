@@ -201,7 +201,7 @@ def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
         "external torque, of what stops the arm": (100 * largest(_threshold_share(bag)), "%"),
         "largest command, of its limit": (100 * largest(np.abs(signals.command.values) / bag.torque_limits), "%"),
         **{f"tick jitter {name}": (value, "µs") for name, value in jitter.items()},
-        "plans": (float(len(signals.plan_times)), ""),
+        "plans": (float(len(signals.plans)), ""),
     }
 
 

@@ -13,6 +13,7 @@ from jinja2 import Environment, FileSystemLoader
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.report import charts
 from contact_reach_ros.report.bag import ReportBag, as_json, metrics, number, quantity, read_report_bag
+from contact_reach_ros.resources import write_text
 
 _TEMPLATES = Path(__file__).with_name("template")
 _LEVELS = {0: "ok", 1: "contact", 2: "stop", 3: "stale"}
@@ -57,24 +58,15 @@ def run_report(bags: Sequence[Path], output: Path | None = None, file: Path | No
     for failure in failures:
         print(f"left out: {failure}")
     output = output or read[0].path.with_suffix(".html")
-    write(output, page(read, [str(failure) for failure in failures]))
+    write_text(output, page(read, [str(failure) for failure in failures]))
     if file is not None:
-        write(file, json.dumps(report_json(read), indent=2, allow_nan=False) + "\n")
+        write_text(file, json.dumps(report_json(read), indent=2, allow_nan=False) + "\n")
     for bag in read:
         print(f"{bag.label}: {bag.verdict}")
         for note in bag.notes:
             print(f"  note: {note}")
     print(f"report: {output} ({output.stat().st_size / 1e6:.1f} MB)")
     return 0
-
-
-def write(file: Path, text: str) -> None:
-    """Write a file, in a new folder if need be; raises `BagError` if it cannot be written."""
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise BagError(f"{error.filename or file}: cannot be written: {error.strerror}") from error
 
 
 def report_json(bags: Sequence[ReportBag]) -> dict[str, Any]:

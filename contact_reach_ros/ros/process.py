@@ -131,6 +131,8 @@ def _serve(node: ManagedNode) -> int:
         if transition() != TransitionCallbackReturn.SUCCESS:
             node.get_logger().fatal(f"{transition.__name__.removeprefix('trigger_')} failed; see the message above")
             return 1
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.put(None))
     # Also the first use of the logger, which takes long.
     node.get_logger().info("active" if node.running else "waiting to be configured")
     node.boundary.protect(node)
@@ -138,8 +140,6 @@ def _serve(node: ManagedNode) -> int:
     warning = take_priority(node.role)
     if warning:
         node.get_logger().warning(warning)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.put(None))
 
     def serve() -> None:
         give_way()

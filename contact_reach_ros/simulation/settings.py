@@ -42,11 +42,13 @@ class SensorSettings:
 
 
 @dataclass(frozen=True)
-class JointSettings(Settings):
-    """Joint friction, which controller and observer do not know."""
+class JointSettings:
+    """Joint friction, which controller and observer do not know; the mismatch of a scene multiplies it."""
 
-    viscous_friction: float = setting(0.3, "viscous friction", unit="Nm s/rad", minimum=0.0, maximum=50.0)
-    coulomb_friction: float = setting(0.2, "dry friction", unit="Nm", minimum=0.0, maximum=50.0)
+    viscous_friction: float = 0.3
+    """N m s/rad."""
+    coulomb_friction: float = 0.2
+    """Dry friction, N m."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,5 @@ class DriverSettings(Settings):
 DRIVER_SECTIONS: Sections = {
     "": DriverSettings,
     "watchdog": WatchdogSettings,
-    "joints": JointSettings,
 }
 """Settings of the driver by parameter prefix."""

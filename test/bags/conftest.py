@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
-from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic
+from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 
 START_NS = 1_700_000_000_000_000_000
@@ -55,8 +55,7 @@ class SampleBag:
     def __init__(self, directory: Path, count: int = 200) -> None:
         self.directory = directory
         self.topics = {name: f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}" for name, kind in TYPES.items()}
-        latched = OfferedQos(depth=1, durability="transient_local")
-        known = [RecordedTopic(name, type_name, (latched,)) for name, type_name in self.topics.items()]
+        known = [RecordedTopic(name, type_name, depth=1, latched=True) for name, type_name in self.topics.items()]
         self.written: list[tuple[str, int, int, Any, bytes]] = []
         custom_data = {"scene": "ball", "seed": "7"}
         with BagWriter(directory, known, custom_data=custom_data) as writer:

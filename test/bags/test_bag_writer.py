@@ -11,10 +11,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
-from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
@@ -68,24 +66,12 @@ def test_rosbags_and_the_middleware_read_what_was_written(shared_sample: SampleB
             assert store.deserialize_cdr(data, connection.msgtype) is not None
 
 
-def test_topics_and_text_can_be_added_late(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag", [TEXT], custom_data={"seed": "3"}) as writer:
-        writer.write("/text", text(), 1)
-        writer.set_custom_data("parameters", "planner: {}")
-        writer.flush()
-        assert BagReader(tmp_path / "bag").custom_data == {"seed": "3", "parameters": "planner: {}"}
-        writer.add_topic(RecordedTopic("/state", "sensor_msgs/msg/JointState"))
-        writer.write("/state", serialize_message(JointState()), 3)
-    with Reader(tmp_path / "bag") as reader:
-        assert [connection.topic for connection, _, _ in reader.messages()] == ["/text", "/state"]
-
-
 def test_what_is_to_survive_a_power_cut_is_handed_to_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[int] = []
     monkeypatch.setattr("os.fdatasync", lambda descriptor: synced.append(os.fstat(descriptor).st_size))
     with BagWriter(tmp_path / "bag", [TEXT]) as writer:
         writer.write("/text", text("x" * 1000), 1)
-        writer.flush(durable=True)
+        writer.flush()
         size = (writer.directory / "bag_0.mcap").stat().st_size
         assert size > 100
     assert synced == [size, (tmp_path / "bag" / "bag_0.mcap").stat().st_size]

@@ -104,4 +104,4 @@ def test_what_does_not_fit_together_is_refused(tmp_path, found):
     with pytest.raises(SettingsError, match="'observer' has no ros__parameters"):
         write(found, base, tmp_path / "mine.yaml", "a test")
     with pytest.raises(InputError, match="cannot be written"):
-        write(found, config_file("default.yaml"), tmp_path / "none" / "mine.yaml", "a test")
+        write(found, config_file("default.yaml"), base / "mine.yaml", "a test")

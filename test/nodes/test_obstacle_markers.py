@@ -14,16 +14,14 @@ from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.conversions import to_point
 from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter, obstacle_markers
-from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
+from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
+from contact_reach_ros.planning.settings import PlannerNodeSettings
 from contact_reach_ros.world.obstacle import BallSettings, WallSettings
 from contact_reach_ros.world.rigid import Block, Plane
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
-MATERIAL = AssumedMaterial(
-    sphere_stiffness=100.0,
-    edge_stiffness=WallSettings().edge_stiffness,
-)
+MATERIAL = PlannerNodeSettings(sphere_stiffness=100.0, edge_stiffness=WallSettings().edge_stiffness)
 STAMP_NS = 1_795_233_693_122_143_135
 TABLE = Block("table", (0.5, 0.0, 0.1), (0.4, 0.6, 0.2), (0.1, 0.2, 0.3, 0.9273618))
 

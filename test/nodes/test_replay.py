@@ -1,5 +1,6 @@
 """Replaying: what is published, under which names, and how it is steered."""
 
+import dataclasses
 import signal
 import subprocess
 from pathlib import Path
@@ -12,18 +13,18 @@ from sensor_msgs.msg import JointState
 from stack_helpers import environment, module, ros
 from std_msgs.msg import Float64MultiArray, String
 
-from contact_reach_ros.bags.topics import OfferedQos, RecordedTopic
+from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.messages import topics
-from contact_reach_ros.nodes.replay import main, publisher_qos
+from contact_reach_ros.nodes.replay import choose_topics, main, publisher_qos
 
 MS, START, TICKS = 1_000_000, 1_700_000_000_000_000_000, 200
-LATCHED, BEST_EFFORT = OfferedQos(depth=3, durability="transient_local"), OfferedQos(reliability="best_effort")
 COMMANDS, STATES, DESCRIPTION = "/effort_controller/commands", "/joint_states", "/robot_description"
 TOPICS = (
-    RecordedTopic(DESCRIPTION, "std_msgs/msg/String", (LATCHED,)),
-    RecordedTopic(STATES, "sensor_msgs/msg/JointState", (OfferedQos(depth=1000),)),
-    RecordedTopic(COMMANDS, "std_msgs/msg/Float64MultiArray", (BEST_EFFORT,)),
+    RecordedTopic(DESCRIPTION, "std_msgs/msg/String", latched=True),
+    RecordedTopic(STATES, "sensor_msgs/msg/JointState"),
+    RecordedTopic(COMMANDS, "std_msgs/msg/Float64MultiArray"),
 )
 
 
@@ -78,32 +79,35 @@ def test_bag_is_published_as_it_was_where_no_live_arm_hears_it(bag):
 
 @pytest.mark.usefixtures("signal_handlers")
 def test_a_replay_ends_with_the_bag(bag, capsys):
-    main([str(bag), "--topics", "joint_states", "--start", "0.2"])
-    assert f"{TICKS // 2} messages of 1 topics" in capsys.readouterr().out
+    main([str(bag), "--topics", "joint_states"])
+    assert f"{TICKS} messages of 1 topics" in capsys.readouterr().out
 
 
-def test_quality_of_service_is_the_best_that_was_offered():
-    profile = publisher_qos("/a", (BEST_EFFORT, LATCHED))
-    assert profile.reliability == ReliabilityPolicy.RELIABLE
-    assert profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-    assert profile.depth >= LATCHED.depth
-    assert publisher_qos("/a", (BEST_EFFORT,)).reliability == ReliabilityPolicy.BEST_EFFORT
+@pytest.mark.parametrize(
+    ("name", "is_latched", "depth"),
+    [
+        ("/left/joint_states", False, topics.JOINT_STATES.qos.depth),
+        ("/safety_state", True, topics.SAFETY_STATE.qos.depth),
+        ("/map", True, 1),
+        ("/scan", False, topics.STREAM.depth),
+    ],
+)
+def test_everybody_hears_as_much_as_from_the_stack(name, is_latched, depth):
+    topic = RecordedTopic(name, "std_msgs/msg/String", latched=is_latched)
+    assert publisher_qos(topic) == topics.Qos(depth, reliable=True, latched=is_latched)
 
 
-def test_depth_that_discovery_does_not_tell_is_that_of_the_stack():
-    unknown = OfferedQos(history="unknown", depth=0)
-    latched = OfferedQos(history="unknown", depth=0, durability="transient_local")
-    assert publisher_qos("/left/joint_states", (unknown,)).depth == topics.JOINT_STATES.qos.depth
-    assert publisher_qos("/safety_state", (latched,)).depth == topics.SAFETY_STATE.qos.depth
-    assert publisher_qos("/map", (latched,)).depth == 1
-    assert publisher_qos("/scan", (unknown,)).depth > 1
+def test_a_type_that_is_not_installed_is_left_out(bag, capsys):
+    reader = BagReader(bag)
+    reader.topics[STATES] = dataclasses.replace(reader.topics[STATES], type="arm_msgs/msg/Gain")
+    assert set(choose_topics(reader, None)) == {DESCRIPTION, COMMANDS}
+    assert "/joint_states is left out: it has cdr of arm_msgs/msg/Gain, expected" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["--rate", "0"], "--rate 0: expected 0.01 to 100"),
-        (["--start", "9"], "--start 9: expected 0 to 0.400 s"),
         (["--topics", "nothing"], "no such topic; it has /effort_controller/commands, /joint_states"),
         (["--ros-args", "-r", "no rule"], "ROS refused the arguments"),
     ],

@@ -4,7 +4,6 @@ import copy
 import dataclasses
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from contact_reach_ros.bags.reader import BagReader
@@ -14,7 +13,6 @@ from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.reexecution.inputs import COMMANDS, RecordedInputs
 from contact_reach_ros.reexecution.loops import reexecute
-from contact_reach_ros.reexecution.settings import ChangedSettings
 from contact_reach_ros.resources import share_directory
 
 SAMPLE = share_directory() / "bags" / "sample"
@@ -68,12 +66,15 @@ def test_after_lost_messages_it_finds_into_step_again(tmp_path: Path) -> None:
 
 
 def test_other_settings_have_other_results(sample: RecordedInputs, tmp_path: Path) -> None:
-    file = tmp_path / "other.yaml"
-    file.write_text("controller: {ros__parameters: {limits: {torque_share: 0.05}}}\nmodel: {ros__parameters: {}}\n")
-    found = reexecute("controller", sample, ChangedSettings(file))
-    assert np.abs(found.values[:, 1]).max() == pytest.approx(0.05 * 320.0)
-    assert np.nanmax(np.abs(found.recorded[:, 1])) > 40.0
-    assert found.first_difference is None and found.compared == 0
+    file, budget = tmp_path / "other.yaml", tmp_path / "budget.yaml"
+    budget.write_text(f"torque_thresholds: {[0.5] * 7}\ntorque_per_speed: {[0.0] * 7}\n")
+    limits = "controller: {ros__parameters: {limits: {torque_share: 0.05}}}"
+    file.write_text(f"{limits}\nobserver: {{ros__parameters: {{contact_budget: {budget}}}}}\n")
+    torques, residuals = reexecute("controller", sample, file), reexecute("observer", sample, file)
+    assert torques.largest_difference > 40.0 - 0.05 * 320.0
+    assert residuals.reasons[0].endswith("permitted 0.5 Nm")
+    for found in (torques, residuals):
+        assert found.first_difference is None and found.compared == 0
 
 
 def test_what_is_missing_is_said(sample: RecordedInputs, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from contact_reach_ros.arms import arm_settings
 from contact_reach_ros.bags.signals import recorded_arm
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.presets import SECTIONS as DECLARED
-from contact_reach_ros.reexecution.settings import SECTIONS, ChangedSettings, recorded_sections
+from contact_reach_ros.reexecution.inputs import SECTIONS, changed_sections, recorded_sections
 
 
 class TestArm:
@@ -56,28 +56,32 @@ class TestRecorded:
         assert recorded_sections("controller", recorded, ARM, "old") == recorded_sections("controller", {}, ARM, "old")
 
 
-class TestChanges:
-    def write(self, file: Path, **nodes: dict[str, Any]) -> ChangedSettings:
+class TestChanged:
+    def change(self, node: str, file: Path, **nodes: dict[str, Any]) -> dict[str, Any]:
         file.write_text(yaml.safe_dump({name: {"ros__parameters": content} for name, content in nodes.items()}))
-        return ChangedSettings(file)
+        return changed_sections(node, {"limits.torque_share": 0.5, "momentum.gain": 30.0}, ARM, file)
 
     def test_only_what_the_file_names_changes(self, tmp_path: Path) -> None:
-        changes = self.write(tmp_path / "changes.yaml", planner={"max_spheres": 3, "planning": {"horizon": 2}})
-        made = changes.apply("planner", {"period": 0.05}, ARM)
-        assert (made[""].period, made[""].max_spheres, made["planning"].horizon) == (0.05, 3, 2)
-        assert made["impedance"] == recorded_sections("planner", {}, ARM, "bag")["impedance"]
+        """The controller watches itself with the observer's settings."""
+        changes = {"controller": {"limits": {"torque_share": 0.4}}, "observer": {"safety": {"debounce": 9}}}
+        made = {node: self.change(node, tmp_path / "other.yaml", **changes) for node in changes}
+        assert made["controller"]["limits"].torque_share == 0.4
+        for sections in made.values():
+            assert (sections["safety"].debounce, sections["momentum"].gain) == (9, 30.0)
+            assert sections["safety"].contact_debounce == 2
 
     @pytest.mark.parametrize(
-        ("node", "content", "name"),
-        [("controller", {"limits": {"torque_shar": 0.5}}, "limits.torque_shar"), ("model", {"inert": 1}, "inert")],
+        ("node", "content", "message"),
+        [
+            ("controller", {"limits": {"torque_shar": 0.5}}, "controller: unknown key 'limits.torque_shar'"),
+            ("observer", {"momentum": {"gain": 0.0}}, "observer: momentum.gain"),
+            ("observer", {"contact_budget": "none.yaml"}, "none.yaml: cannot be read"),
+            ("model", {"inertia_set": "alternative"}, "unknown node 'model'"),
+            ("planner", {"period": 0.1}, "has nothing for controller or observer"),
+        ],
     )
-    def test_an_unknown_parameter_is_named(self, tmp_path: Path, node: str, content: dict[str, Any], name: str) -> None:
-        with pytest.raises(SettingsError, match=f"{node}: unknown key '{name}'"):
-            self.write(tmp_path / "changes.yaml", **{node: content})
-
-    def test_the_planner_plans_for_the_settings_that_the_controller_has(self, tmp_path: Path) -> None:
-        content = {"impedance": {"task_damping": 90.0}, "supervision": {"max_position_error": 0.2}}
-        changes = self.write(tmp_path / "changes.yaml", controller=content)
-        for node in ("controller", "planner"):
-            made = changes.apply(node, {}, ARM)
-            assert (made["impedance"].task_damping, made["supervision"].max_position_error) == (90.0, 0.2)
+    def test_what_cannot_be_used_is_named(
+        self, tmp_path: Path, node: str, content: dict[str, Any], message: str
+    ) -> None:
+        with pytest.raises(SettingsError, match=message):
+            self.change("observer", tmp_path / "other.yaml", **{node: content})

@@ -29,7 +29,6 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.nodes.recorder import AHEAD_NS, RecorderNode
 from contact_reach_ros.ros.inbox import qos_profile
-from contact_reach_ros.timing import NANOSECONDS
 
 REST = 0.1
 """Joint speed that counts as rest, sensor noise included, rad/s."""
@@ -142,16 +141,15 @@ def test_ctrl_c_ends_everything_with_the_arm_at_rest_and_the_bag_complete(stack)
     # Also of the time in which the recorder stood still; of obstacles only the newest scene waits to be read.
     lost = {key for key in bag.custom_data if key.startswith("messages_lost/")}
     assert "messages_lost" in bag.custom_data and lost <= {"messages_lost/obstacles"}
-    end_ns = bag.start_ns + round(bag.duration * NANOSECONDS)
-    last = (bag.decode(raw) for raw in bag.raw_messages(["/joint_states"], end_ns - 8 * NANOSECONDS))
-    speeds = [np.abs(state.velocity).max() for state in last]
+    last = [*bag.raw_messages(["/joint_states"])][-2000:]
+    speeds = [np.abs(bag.decode(raw).velocity).max() for raw in last]
     assert max(speeds) > REST > max(speeds[-100:])
 
 
 def test_a_recorder_that_comes_late_has_seconds_of_ticks(tmp_path):
     """On a busy machine it takes that long until a recorder finds a topic."""
     topic, kept, bag = topics.JOINT_STATES, topics.KEPT_STREAM, tmp_path / "bag"
-    with ros(f"bag:={bag}", f"topics:=[{topic.name}]"):
+    with ros(f"bag:={bag}"):
         publisher = rclpy.create_node("look").create_publisher(topic.type, topic.name, qos_profile(kept))
         for _ in range(kept.depth):
             publisher.publish(JointState())

@@ -22,7 +22,7 @@ from contact_reach_ros.arm import Arm, Array, rotation_from_quaternion
 from contact_reach_ros.arm.capsules import self_pairs
 from contact_reach_ros.arm.mjcf import TIP_SITE, build_mjcf
 from contact_reach_ros.planning.runtime import configure_jax
-from contact_reach_ros.resources import KeptFile
+from contact_reach_ros.resources import kept
 
 if TYPE_CHECKING:
     import brax
@@ -104,12 +104,8 @@ def arm_model(arm: Arm) -> ArmModel:
     What Brax has read from an MJCF is kept in the user's cache, since importing Brax takes longer than planning starts.
     """
     text = build_mjcf(arm)
-    kept = KeptFile("arms", text, arm.digest, importlib.metadata.version("brax"), Path(__file__).read_text())
-    model: ArmModel | None = kept.load()
-    if model is None:
-        model = read_arm(arm, load_system(text))
-        kept.store(model)
-    return model
+    parts = (text, arm.digest, importlib.metadata.version("brax"), Path(__file__).read_text())
+    return kept(parts, lambda: read_arm(arm, load_system(text)))
 
 
 def read_arm(arm: Arm, system: brax.System) -> ArmModel:
