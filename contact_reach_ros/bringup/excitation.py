@@ -14,10 +14,9 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.identification.recording import Recording, recording_of
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
+from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.topics import Qos
-from contact_reach_ros.planning.settings import PlannerNodeSettings
 from contact_reach_ros.ros.client import PLANNER, StackClient, connect
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.world.collision import clearances, nearest
@@ -85,7 +84,7 @@ def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Map
 
 def _obstacles(client: StackClient) -> Spheres:
     """What stands around the arm; raises `InputError` if that has to be known and is not."""
-    reader = ObstacleMarkerReader(client.arm.base_frame, AssumedMaterial.of(PlannerNodeSettings()))
+    reader = ObstacleMarkerReader(client.arm.base_frame)
     found: list[Spheres] = []
     client.inbox.add(
         topics.OBSTACLES, lambda data: found.append(reader.read(data)), serialized=True, largest=LARGEST_SCENE

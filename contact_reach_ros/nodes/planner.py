@@ -18,7 +18,7 @@ from visualization_msgs.msg import MarkerArray
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
+from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.safety_state import is_stopped, read_contact
 from contact_reach_ros.messages.serialized import JointStateReader, decode
 from contact_reach_ros.messages.values import goal_values, nanoseconds, quaternion, vector
@@ -74,7 +74,9 @@ class PlannerNode(ManagedNode):
             self._controllers[_GAINS].task,
         )
         self._output = PlannerOutput(self)
-        self._obstacle_reader = ObstacleMarkerReader(self.arm.base_frame, AssumedMaterial.of(settings))
+        self._obstacle_reader = ObstacleMarkerReader(
+            self.arm.base_frame, settings.sphere_stiffness, settings.edge_stiffness
+        )
         self._frames = Frames(self, self.arm.base_frame)
         self._goals = self._goal_ns = 0
         """Number of goals that were taken, and the stamp of the last one."""

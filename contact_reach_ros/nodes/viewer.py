@@ -31,7 +31,7 @@ from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.settings import DEFAULT_PARAMETERS, as_arguments, namespace_arguments
 from contact_reach_ros.viewer.access import call, serve
-from contact_reach_ros.viewer.frame import ANY_MATERIAL, safety_status
+from contact_reach_ros.viewer.frame import safety_status
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.page import Page
 from contact_reach_ros.viewer.playback import bag_directory
@@ -55,7 +55,7 @@ class ViewerNode(ManagedNode):
         self._due = 0.0
         self.live = LiveState(self.arm, time.monotonic())
         self._states = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
-        self._obstacles = ObstacleMarkerReader(self.arm.base_frame, ANY_MATERIAL)
+        self._obstacles = ObstacleMarkerReader(self.arm.base_frame)
         inbox = self.inbox
         # The page shows thirty moments a second: of fast topics, only the newest message is ever decoded.
         inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST, serialized=True)

@@ -18,7 +18,7 @@ import numpy as np
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import BagError, InputError
-from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
+from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
 from contact_reach_ros.messages.plan_request import Parts, read_memory, read_request
 from contact_reach_ros.messages.values import nanoseconds, split_array
@@ -173,7 +173,8 @@ class RecordedPlans:
         """The obstacles that the planner knew; `sent_ns` is 0 for none."""
         if not sent_ns:
             return Spheres.none()
-        reader = ObstacleMarkerReader(self._inputs.arm.base_frame, AssumedMaterial.of(self._settings[""]))
+        own, frame = self._settings[""], self._inputs.arm.base_frame
+        reader = ObstacleMarkerReader(frame, own.sphere_stiffness, own.edge_stiffness)
         spheres = None
         # Obstacles may rest where they were seen first.
         for data in self._inputs.data_until(OBSTACLES, sent_ns):

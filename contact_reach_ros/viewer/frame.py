@@ -8,13 +8,9 @@ from typing import Any
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.messages.obstacle_reader import AssumedMaterial
 from contact_reach_ros.messages.safety_state import ERROR, WARN, is_stopped, read_contact, read_level
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.world.spheres import Spheres
-
-ANY_MATERIAL = AssumedMaterial(1.0, 1.0)
-"""Material of obstacles, of which only positions, radii and edges are shown."""
 
 
 @dataclass(frozen=True)

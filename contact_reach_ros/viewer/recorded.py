@@ -17,7 +17,7 @@ from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_path
 from contact_reach_ros.messages.safety_state import WARN
-from contact_reach_ros.viewer.frame import ANY_MATERIAL, Frame, safety_status
+from contact_reach_ros.viewer.frame import Frame, safety_status
 from contact_reach_ros.viewer.plots import SPAN
 
 _PATHS, _OBSTACLES = "/plan/path", "/obstacles"
@@ -73,7 +73,7 @@ class Recording:
         self.arm = arm_of_bag(self._reader)
         if self.arm.name != arm.name:
             raise BagError(f"bag '{path}' is of arm '{self.arm.name}', the page of '{arm.name}': view it with --arm")
-        self._obstacles = ObstacleMarkerReader(self.arm.base_frame, ANY_MATERIAL)
+        self._obstacles = ObstacleMarkerReader(self.arm.base_frame)
         self._signals = signals = read_signals(self._reader, self.arm)
         position = signals.position
         # States with unknown joints, and repeated states, are not moments to look at.

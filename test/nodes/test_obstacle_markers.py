@@ -6,6 +6,7 @@ import itertools
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
+from geometry_msgs.msg import Vector3
 from hostile import garbage
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import ColorRGBA
@@ -14,29 +15,25 @@ from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.conversions import to_point
 from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter, obstacle_markers
-from contact_reach_ros.messages.obstacle_reader import AssumedMaterial, ObstacleMarkerReader
+from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.world.obstacle import BallSettings, WallSettings
 from contact_reach_ros.world.rigid import Block, Plane
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
-MATERIAL = AssumedMaterial(
-    sphere_stiffness=100.0,
-    edge_stiffness=WallSettings().edge_stiffness,
-)
 STAMP_NS = 1_795_233_693_122_143_135
 TABLE = Block("table", (0.5, 0.0, 0.1), (0.4, 0.6, 0.2), (0.1, 0.2, 0.3, 0.9273618))
 
 
 def scene() -> Scene:
-    """Two balls and two walls, made of `MATERIAL`."""
+    """Two balls and two walls."""
     balls = [BallSettings(radius=0.05 * (k + 1)).at(np.array([0.1 * k, 0.2, 0.9])) for k in range(2)]
     obstacles = itertools.chain(*balls, WallSettings().at(np.array([0.5, 0.0, 0.3])))
     return Scene("test", ARM, 0, HOME, np.zeros(3), tuple(obstacles))
 
 
 def new_reader() -> ObstacleMarkerReader:
-    return ObstacleMarkerReader(ARM.base_frame, MATERIAL)
+    return ObstacleMarkerReader(ARM.base_frame, BallSettings().stiffness, WallSettings().edge_stiffness)
 
 
 def displaced() -> np.ndarray:
@@ -128,7 +125,7 @@ SPOILED = [
     (lambda message: marker(message, "edges").points.clear(), "nothing holds sphere"),
     (lambda message: message.markers.remove(marker(message, "obstacles")), "rest/2 has 44 points; expected 0"),
     (lambda message: message.markers.append(marker(message, "obstacles")), "obstacles/2 comes twice"),
-    (change("scale.z", 0.4, "obstacles", 0), "obstacles/0 has scale"),
+    (change("scale", Vector3(), "obstacles", 0), "obstacles/0 has scale"),
     (change("pose.position.x", 0.1), "obstacles/2 has a pose"),
     (change("scale.y", 0.0, "block", 0), "block/0 .* size"),
     (change("pose.orientation.w", 3.0, "block", 0), "block/0 .* orientation"),
@@ -143,13 +140,13 @@ def test_a_bad_message_is_refused_by_marker_and_field(spoil, said):
         new_reader().read(serialize_message(message))
 
 
-def test_markers_of_perception_may_be_in_any_namespace_with_a_diameter_in_x_alone():
+def test_markers_of_perception_may_be_in_any_namespace_and_are_as_large_as_their_longest_axis():
     message = obstacle_markers(dataclasses.replace(scene(), environment=(TABLE,)), displaced(), STAMP_NS)
     ball, table = marker(message, "obstacles", 0), marker(message, "block", 0)
-    ball.ns, ball.scale.y, ball.scale.z = "balls", 0.0, 0.0
+    ball.ns, ball.scale = "balls", Vector3(x=0.1, y=0.3)
     table.ns, table.text = "furniture", ""
     spheres = new_reader().read(serialize_message(MarkerArray(markers=[ball, table])))
-    assert spheres.radius.tolist() == [ball.scale.x / 2]
+    assert spheres.radius.tolist() == [0.15]
     assert [body.name for body in spheres.environment] == ["furniture/0"]
 
 
