@@ -20,7 +20,7 @@ from contact_reach_ros.messages.conversions import to_stop_state
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
 from contact_reach_ros.messages.safety_state import observer_values, read_in_force, read_verdict
-from contact_reach_ros.messages.serialized import CommandWriter, JointStateReader
+from contact_reach_ros.messages.serialized import JointStateReader, command_writer
 from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer
@@ -69,8 +69,8 @@ class ControllerNode(StoppableNode):
         """What the planner plans with and this controller has not."""
         self._other_watch = ""
         """What the observer watches with and this controller's own watch has not."""
-        self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name, with_effort=bool(self._watch))
-        self._writer = CommandWriter(self.arm.n)
+        self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
+        self._writer = command_writer(self.arm.n)
         self._controller = self._make_controller()
         if self._watch:
             self._controller.watch_with(self._make_watcher())

@@ -25,7 +25,7 @@ from contact_reach_ros.messages.conversions import (
 )
 from contact_reach_ros.messages.obstacle_markers import obstacle_markers
 from contact_reach_ros.messages.safety_state import WARN
-from contact_reach_ros.messages.serialized import JointStateWriter
+from contact_reach_ros.messages.serialized import joint_state_writer
 from contact_reach_ros.messages.values import quaternion, vector
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.planner import PlannerNode
@@ -37,7 +37,7 @@ from contact_reach_ros.world.spheres import rest_positions
 BALL, WALL = load_scene("ball"), load_scene("wall")
 GOAL = np.array([0.5, 0.1, 0.4])
 FLANGE, _ = RobotModel(ARM).tip_pose(HOME)
-WRITER = JointStateWriter(ARM.joint_names, ARM.base_frame, ["position", "velocity"])
+WRITER = joint_state_writer(ARM.joint_names, ARM.base_frame, ["position", "velocity"])
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def planner():
         node = PlannerNode()
         node.asked = []
         node._make_plan = node.asked.append
-        node.show = lambda tick: node._on_state(WRITER.write(tick * TICK_NS, HOME, REST))
+        node.show = lambda tick: node._on_state(WRITER.write(HOME, REST, stamp_ns=tick * TICK_NS))
         node.show(1000)
         yield node
 
