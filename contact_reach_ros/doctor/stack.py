@@ -26,7 +26,7 @@ from contact_reach_ros.doctor.arm import JointRecord
 from contact_reach_ros.doctor.findings import Finding, Verdict, failed, graded
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.safety_state import ERROR, read_level, requires_observer
+from contact_reach_ros.messages.safety_state import ERROR, read_level
 from contact_reach_ros.messages.topics import Qos, Topic
 from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.ros.client import Client
@@ -72,8 +72,6 @@ class Graph:
         Lifecycle state of the stack's nodes by name; empty for one that does not answer.
     safety
         The latched safety states that came: name of the node, message, and whether it is a stop.
-    requires_observer
-        Whether the controller starts an arm only while an observer watches it.
     settings
         What the nodes report of their settings, by node.
     command_order
@@ -85,7 +83,6 @@ class Graph:
     subscriptions: Mapping[str, Sequence[Endpoint]] = field(default_factory=dict)
     states: Mapping[str, str] = field(default_factory=dict)
     safety: Sequence[tuple[str, str, bool]] = ()
-    requires_observer: bool = True
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     command_order: Sequence[str] | None = None
 
@@ -94,6 +91,11 @@ class Graph:
         """Of joint states, Hz: what the controller reports, or else the default."""
         rate = self.settings.get("controller", {}).get("state_rate")
         return rate if isinstance(rate, float) else 1.0 / PERIOD
+
+    @property
+    def requires_observer(self) -> bool:
+        """Whether the controller starts an arm only while an observer watches it."""
+        return self.settings.get("controller", {}).get("supervision.require_observer") is not False
 
     @property
     def running(self) -> bool:
@@ -155,7 +157,6 @@ def look_around(discovery: str, seconds: float, arm: Arm) -> tuple[Graph, JointR
             {topic.name: _endpoints(node.get_subscriptions_info_by_topic(topic.name)) for topic in topics.ALL},
             states,
             [(name, status.message, read_level(status) >= ERROR) for name, status in safety.items()],
-            all(map(requires_observer, safety.values())),
             settings,
             order,
         )

@@ -39,9 +39,6 @@ _KNOWN, _UNKNOWN = "known", "unknown"
 _MODEL_ERROR = "model error Nm"
 """Key of the torque of each joint that the model lacks to carry the arm."""
 
-_WATCHED = "observer"
-_UNWATCHED = "not required: the arm may move unwatched"
-
 _LINK, _FORCE, _POSITION = "contact link", "contact force xyz N", "contact position xyz m"
 
 
@@ -98,16 +95,6 @@ def read_in_force(message: Any, before: bool) -> bool:
     if message.name != _ADAPTER:
         return before
     return read_level(message) < ERROR and all(item.value != _WAITING for item in message.values if item.key == "state")
-
-
-def observer_values(is_required: bool) -> dict[str, str]:
-    """The controller's value for whether it starts only an arm that an observer watches."""
-    return {_WATCHED: "required" if is_required else _UNWATCHED}
-
-
-def requires_observer(message: Any) -> bool:
-    """Whether a controller with this safety state requires an observer."""
-    return all(item.value != _UNWATCHED for item in message.values if item.key == _WATCHED)
 
 
 def read_reason(message: Any) -> str:

@@ -19,7 +19,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_stop_state
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
-from contact_reach_ros.messages.safety_state import observer_values, read_in_force, read_verdict
+from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
 from contact_reach_ros.messages.serialized import JointStateReader, command_writer
 from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.observer.budget import load_budget
@@ -121,7 +121,6 @@ class ControllerNode(StoppableNode):
         waiting = "" if controller.started else controller.not_yet or controller.not_vouched
         values = {
             "mode": controller.mode.value,
-            **observer_values(self.settings["supervision"].require_observer),
             "plans accepted": controller.references.accepted,
             "plan halves unpaired": controller.references.unpaired,
             "plan age s": controller.references.age(controller.stamp_ns),
@@ -224,8 +223,7 @@ class ControllerNode(StoppableNode):
             # Bags must not end between a stop and what led to it.
             self._intake.flush()
         mode = controller.mode.value
-        values = {"mode": mode, **observer_values(self.settings["supervision"].require_observer)}
-        self._safety.publish(to_stop_state(self.NAME, self.arm, controller.stop_reason, mode, values))
+        self._safety.publish(to_stop_state(self.NAME, self.arm, controller.stop_reason, mode, {"mode": mode}))
         if controller.stop_reason:
             is_silent = controller.mode is Mode.SILENT
             what = "stop, without commands" if is_silent else "compliant stop"

@@ -76,7 +76,7 @@ def test_where_nothing_runs_it_says_what_to_start():
 
 
 def test_a_latched_stop_fails_with_the_call_that_releases_it():
-    unwatched = stack.safety_state(changed(requires_observer=False))
+    unwatched = stack.safety_state(changed(settings={"controller": {"supervision.require_observer": False}}))
     assert unwatched.verdict is Verdict.WARN and "may move unwatched" in unwatched.found
     stopped = changed(safety=[("observer", "external torque on A2", True), ("controller", "holding", False)])
     finding = stack.safety_state(stopped)

@@ -7,7 +7,6 @@ from stack_helpers import parameter_file, ros
 
 from contact_reach_ros.bringup.processes import BringupOptions, processes
 from contact_reach_ros.messages.conversions import to_status
-from contact_reach_ros.messages.safety_state import observer_values, requires_observer
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.observer import ObserverNode
 from contact_reach_ros.ros.parameters import check_arguments
@@ -41,8 +40,3 @@ def test_bring_up_gives_the_controller_what_it_changes_in_the_observer():
     table = {process.name: process for process in processes(BringupOptions(overrides=("observer:safety.debounce=5",)))}
     assert table["controller"].parameters["observer:safety.debounce"] == 5
     check_arguments(["controller", "--ros-args", *CHANGE], "controller", ControllerNode.SECTIONS)
-
-
-@pytest.mark.parametrize("is_required", [True, False])
-def test_whether_an_observer_is_required_can_be_read(is_required):
-    assert requires_observer(to_status("controller", "", observer_values(is_required))) is is_required
