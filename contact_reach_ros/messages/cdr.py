@@ -21,8 +21,7 @@ COUNT = struct.Struct("<I")
 
 NO_LAYOUT = bytes(8)
 """The layout of a MultiArray that has neither dimensions nor an offset."""
-ARRAY_COUNT = HEADER + len(NO_LAYOUT)
-ARRAY_START = ARRAY_COUNT + 8
+ARRAY_START = HEADER + len(NO_LAYOUT) + 8
 """Where the 8-byte numbers of such an array begin."""
 
 JOINT_STATE_FIELDS = ("position", "velocity", "effort")

@@ -1,6 +1,5 @@
 """The planner node: what it knows of obstacles, contact, frames and its controller, and when it does not plan."""
 
-import sys
 import types
 
 import numpy as np
@@ -29,7 +28,7 @@ from contact_reach_ros.messages.serialized import joint_state_writer
 from contact_reach_ros.messages.values import quaternion, vector
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.planner import PlannerNode
-from contact_reach_ros.ros.frames import Frames
+from contact_reach_ros.ros import frames
 from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.world.spheres import rest_positions
@@ -199,9 +198,8 @@ class Buffer:
 @pytest.fixture
 def tf2_ros(monkeypatch):
     """No registry has tf2 as wheels: the part of its interface that is used."""
-    module = types.ModuleType("tf2_ros")
-    module.Buffer, module.TransformListener, module.TransformException = Buffer, lambda *_: None, TransformError
-    monkeypatch.setitem(sys.modules, "tf2_ros", module)
+    names = {"Buffer": Buffer, "TransformListener": lambda *_: None, "TransformException": TransformError}
+    monkeypatch.setattr(frames, "tf2_ros", types.SimpleNamespace(**names))
 
 
 @pytest.fixture
@@ -237,8 +235,7 @@ def test_without_a_transform_a_goal_is_refused_with_its_reason(transforming, fra
 
 
 def test_without_tf2_other_frames_are_refused(planner, monkeypatch):
-    monkeypatch.setitem(sys.modules, "tf2_ros", None)
-    planner._frames = Frames(planner, ARM.base_frame)
+    monkeypatch.setattr(frames, "tf2_ros", None)
     markers = ball(997)
     markers.markers[0].header.frame_id = CAMERA
     send(planner, topics.OBSTACLES, MarkerArray())
