@@ -90,12 +90,11 @@ def test_written_joint_states_are_decoded_by_rclpy(fields, names):
             assert getattr(message, field).tolist() == list(values.get(field, []))
 
 
-@pytest.mark.parametrize("frame_id", ["x", "lbr_link_0"])
-def test_written_wrenches_are_decoded_by_rclpy(frame_id):
+def test_written_wrenches_are_decoded_by_rclpy():
     values = np.random.default_rng(0).standard_normal(6)
-    message = deserialize_message(wrench_writer(frame_id).write(values, stamp_ns=STAMP_NS), WrenchStamped)
+    message = deserialize_message(wrench_writer("lbr_link_0").write(values, stamp_ns=STAMP_NS), WrenchStamped)
     force, torque = message.wrench.force, message.wrench.torque
-    assert nanoseconds(message.header.stamp) == STAMP_NS and message.header.frame_id == frame_id
+    assert nanoseconds(message.header.stamp) == STAMP_NS and message.header.frame_id == "lbr_link_0"
     assert [force.x, force.y, force.z, torque.x, torque.y, torque.z] == values.tolist()
 
 
