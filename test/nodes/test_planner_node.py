@@ -7,8 +7,9 @@ import pytest
 import rclpy
 from arm_simulation import ARM, HOME, REST, TICK_NS
 from geometry_msgs.msg import Transform, TransformStamped, Vector3
+from plans import make_plan
 from rclpy.serialization import deserialize_message, serialize_message
-from stack_helpers import hand_in, ros, wait_for
+from stack_helpers import Published, hand_in, ros, wait_for
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.arm import rotation_about
@@ -23,6 +24,7 @@ from contact_reach_ros.messages.conversions import (
     to_time,
 )
 from contact_reach_ros.messages.obstacle_markers import obstacle_markers
+from contact_reach_ros.messages.plan_reader import read_path
 from contact_reach_ros.messages.safety_state import WARN
 from contact_reach_ros.messages.serialized import joint_state_writer
 from contact_reach_ros.messages.values import quaternion, vector
@@ -35,6 +37,9 @@ from contact_reach_ros.world.spheres import rest_positions
 
 BALL, WALL = load_scene("ball"), load_scene("wall")
 GOAL = np.array([0.5, 0.1, 0.4])
+PLAN = make_plan(
+    np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1)), np.zeros((3, 7)), predicted_positions=np.arange(12.0).reshape(4, 3)
+)
 FLANGE, _ = RobotModel(ARM).tip_pose(HOME)
 WRITER = joint_state_writer(ARM.joint_names, ARM.base_frame, ["position", "velocity"])
 
@@ -174,6 +179,16 @@ def test_only_a_node_that_commands_the_arm_and_hears_both_halves_of_a_plan_count
     wait_for(lambda: planner.diagnosis()[0] == topics.WAITING_FOR_CONTROLLER, 10, "the controller is gone")
     others.append(other_node("shadow", halves, (topics.SHADOW_COMMANDS,)))
     wait_for(lambda: planner.diagnosis()[1]["heard by"] == "/shadow", 10, "one that only computes counts, too")
+
+
+def test_a_withdrawn_plan_is_no_longer_shown(planner):
+    planner._output._path = Published()
+    planner._planner.plan = PLAN
+    planner._output.publish(PLAN)
+    planner._withdraw("a stop")
+    path, nothing = planner._output._path.messages
+    np.testing.assert_array_equal(read_path(path), PLAN.predicted_positions)
+    assert read_path(nothing) is None and nothing.header.frame_id == ARM.base_frame
 
 
 CAMERA, SEEN_NS = "camera", 997 * TICK_NS
