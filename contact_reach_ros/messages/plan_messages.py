@@ -1,9 +1,9 @@
-"""A plan as the messages that controller, viewers and bags take."""
+"""A plan as the messages that controller, viewers and bags take, and as visualization markers."""
 
 from __future__ import annotations
 
 import array
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,11 +18,14 @@ from trajectory_msgs.msg import (
     MultiDOFJointTrajectory,
     MultiDOFJointTrajectoryPoint,
 )
+from visualization_msgs.msg import Marker, MarkerArray
 
-from contact_reach_ros.arm import Arm, Array
-from contact_reach_ros.messages.conversions import to_point, to_quaternion, to_status, to_time
+from contact_reach_ros.arm import Arm, Array, link_frames
+from contact_reach_ros.messages.conversions import to_marker, to_point, to_quaternion, to_status, to_time
+from contact_reach_ros.messages.plan_reader import CONTACT, ELBOW, FLANGE
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.timing import NANOSECONDS
+from contact_reach_ros.world.collision import capsule_segments
 
 
 def to_references(plan: Plan, arm: Arm) -> tuple[MultiDOFJointTrajectory, JointTrajectory]:
@@ -67,3 +70,45 @@ def to_request(parts: Mapping[str, Array]) -> Float64MultiArray:
 
 def _header(time_ns: int, arm: Arm) -> Header:
     return Header(stamp=to_time(time_ns), frame_id=arm.base_frame)
+
+
+_SHOWN_FORCE = 0.05
+"""Least force that is worth a text, N."""
+_TEXT_HEIGHT = 0.04
+_PATH_WIDTH = 0.006
+_BLUE = (0.2, 0.4, 0.9, 0.9)
+_ORANGE = (0.9, 0.55, 0.1, 0.9)
+
+
+def to_markers(plan: Plan | None, arm: Arm) -> MarkerArray:
+    """Paths of flange and elbow, and each link's largest contact force, instead of all that was shown before.
+
+    None shows nothing. A text stands where the link is expected to be at the end of the knot with that force. The
+    direction of a force is not known from a plan.
+    """
+    markers = [Marker(action=Marker.DELETEALL)]
+    if plan is not None:
+        elbow = np.array([link_frames(arm, q)[1][arm.n // 2] for q in plan.predicted_q])
+        markers += [_path(FLANGE, plan.predicted_positions, _BLUE), _path(ELBOW, elbow, _ORANGE), *_forces(plan, arm)]
+    for marker in markers:
+        marker.header = _header(0 if plan is None else plan.effect_ns, arm)
+    return MarkerArray(markers=markers)
+
+
+def _path(namespace: str, points: Array, color: tuple[float, ...]) -> Marker:
+    marker = to_marker(namespace, 0, Marker.LINE_STRIP, (_PATH_WIDTH, 0.0, 0.0), color)
+    marker.points = [to_point(point) for point in points.tolist()]
+    return marker
+
+
+def _forces(plan: Plan, arm: Arm) -> Iterator[Marker]:
+    links = [arm.link_names[capsule.link - 1] for capsule in arm.capsules]
+    for forces, link in zip(plan.predicted_contact_forces.T, arm.contact_links, strict=True):
+        knot, index = int(forces.argmax()), links.index(link)
+        if forces[knot] >= _SHOWN_FORCE:
+            middle = np.mean(capsule_segments(arm, plan.predicted_q[knot + 1]), axis=0)[index]
+            number = arm.capsules[index].link
+            marker = to_marker(CONTACT, number, Marker.TEXT_VIEW_FACING, (0.0, 0.0, _TEXT_HEIGHT), _ORANGE)
+            marker.pose.position = to_point(middle.tolist())
+            marker.text = f"{forces[knot]:.1f} N"
+            yield marker

@@ -1,10 +1,10 @@
-"""Plans from the planner's messages, or any object with their fields: for the controller, and to be shown."""
+"""Plans from the planner's messages, or any object with their fields: for the controller, and as a picture."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,16 +13,38 @@ from contact_reach_ros.control.references import PoseKnots, PostureKnots
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.values import FARTHEST, nanoseconds, places_of, vector
 
+FLANGE = "flange"
+ELBOW = "elbow"
+CONTACT = "contact"
+"""Namespaces of the markers."""
 
-def read_path(message: Any) -> Array | None:
-    """The flange's positions (N, 3), m, in a Path of plan/path; None if it has none, which withdraws the plan.
+_ADD = 0
+"""Action of a visualization_msgs/msg/Marker."""
 
-    Raises `InputError` if a position is none.
+
+class PlanPicture(NamedTuple):
+    """Positions (N, 3) that a plan predicts at its knots, m."""
+
+    flange: Array
+    elbow: Array
+
+
+def read_plan(message: Any) -> PlanPicture | None:
+    """The plan in a MarkerArray of plan/markers; None if the message has none, which withdraws it.
+
+    Raises `InputError` if a place is none.
     """
-    positions = np.array([vector(each.pose.position) for each in message.poses]).reshape(-1, 3)
-    if not (np.abs(positions) < FARTHEST).all():
-        raise InputError(f"plan/path: {positions.tolist()}; expected finite numbers below {FARTHEST:g} m")
-    return positions if len(positions) else None
+    paths = {FLANGE: np.zeros((0, 3)), ELBOW: np.zeros((0, 3))}
+    for marker in message.markers:
+        if marker.action == _ADD and marker.ns in paths:
+            paths[marker.ns] = np.array([vector(point) for point in marker.points]).reshape(-1, 3)
+    if not len(paths[FLANGE]):
+        return None
+    picture = PlanPicture(paths[FLANGE], paths[ELBOW])
+    for name, values in picture._asdict().items():
+        if not (np.abs(values) < FARTHEST).all():
+            raise InputError(f"plan/markers: {name} = {values.tolist()}; expected finite numbers below {FARTHEST:g} m")
+    return picture
 
 
 def pose_knots(message: Any) -> PoseKnots:

@@ -159,6 +159,7 @@ class PlannerNode(ManagedNode):
         passed_ns = self.now_ns - now_ns
         self._planner.took(passed_ns)
         self._late += passed_ns > request.effect_ns - request.state_ns
+        self._output.show(plan)
         found = None if self._core is None else self._core.memory
         if found is not None:
             self._report_detour(found)

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from nav_msgs.msg import Path
-from std_msgs.msg import Header
-
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.goal_state import to_goal_state
-from contact_reach_ros.messages.plan_messages import to_path, to_references, to_request, to_statistics
+from contact_reach_ros.messages.plan_messages import to_markers, to_path, to_references, to_request, to_statistics
 from contact_reach_ros.messages.plan_request import request_parts
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.planning.plan import Plan, Request
@@ -18,7 +15,7 @@ from contact_reach_ros.planning.planner import Planner
 from contact_reach_ros.planning.receding_horizon import Memory
 from contact_reach_ros.ros.managed_node import ManagedNode
 
-_GOAL_STATE_EVERY_NS = 100_000_000
+_MARKERS_EVERY_NS = _GOAL_STATE_EVERY_NS = 100_000_000
 
 
 class PlannerOutput:
@@ -31,8 +28,10 @@ class PlannerOutput:
         self._postures = node.make_publisher(topics.REFERENCE_POSTURE)
         self._path = node.make_publisher(topics.PLAN_PATH)
         self._goal_states = node.make_publisher(topics.GOAL_STATE)
+        self._marker_publisher = node.make_publisher(topics.PLAN_MARKERS)
         self._statistics = node.make_publisher(topics.PLAN_STATISTICS)
         self._requests = node.make_publisher(topics.PLAN_REQUEST)
+        self._markers_due_ns = 0
         self._reported: tuple[int, GoalPhase] | None = None
         self._goal_state_due_ns = 0
 
@@ -43,9 +42,15 @@ class PlannerOutput:
         self._postures.publish(postures)
         self._path.publish(to_path(plan, self._arm))
 
+    def show(self, plan: Plan) -> None:
+        """Publish the markers of a plan, a few times a second."""
+        if plan.effect_ns >= self._markers_due_ns:
+            self._marker_publisher.publish(to_markers(plan, self._arm))
+            self._markers_due_ns = plan.effect_ns + _MARKERS_EVERY_NS
+
     def clear(self) -> None:
-        """Publish that no plan is pursued any more, as an empty path."""
-        self._path.publish(Path(header=Header(frame_id=self._arm.base_frame)))
+        """Remove the markers."""
+        self._marker_publisher.publish(to_markers(None, self._arm))
 
     def record(
         self, plan: Plan, request: Request, start: Memory | None, found: Memory, values: Mapping[str, Any]
@@ -67,7 +72,6 @@ class PlannerOutput:
             "plans since reset": found.plans - 1,
             "stop reason": plan.stop_reason,
             "solve ms": 1000 * plan.solve_s,
-            "contact force N": plan.predicted_contact_forces.max(),
             **plan.statistics(),
             **values,
         }

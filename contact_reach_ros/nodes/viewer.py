@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from nav_msgs.msg import Path as PlannedPath
 from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
-from contact_reach_ros.messages.plan_reader import read_path
+from contact_reach_ros.messages.plan_reader import read_plan
 from contact_reach_ros.messages.safety_state import ERROR
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import efforts, places_of
@@ -61,7 +61,7 @@ class ViewerNode(ManagedNode):
         inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST, serialized=True)
         inbox.add(topics.EXTERNAL_TORQUE, self._on_torque, topics.NEWEST)
         inbox.add(topics.OBSTACLES, self._on_obstacles, serialized=True, largest=LARGEST_SCENE)
-        inbox.add(topics.PLAN_PATH, self._on_plan, topics.NEWEST)
+        inbox.add(topics.PLAN_MARKERS, self._on_plan, topics.NEWEST, largest=LARGEST_SCENE)
         inbox.add(topics.SIM_CONTACTS, self._on_contacts, _FEW)
         inbox.add(topics.PLAN_STATISTICS, self.live.on_statistics, _FEW)
         inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
@@ -125,8 +125,8 @@ class ViewerNode(ManagedNode):
     def _on_obstacles(self, data: bytes) -> None:
         self.live.obstacles = self._obstacles.read(data)
 
-    def _on_plan(self, message: PlannedPath) -> None:
-        self.live.plan = read_path(message)
+    def _on_plan(self, message: MarkerArray) -> None:
+        self.live.plan = read_plan(message)
 
     def _on_contacts(self, message: JointState) -> None:
         forces = efforts(message, topics.SIM_CONTACTS.name)

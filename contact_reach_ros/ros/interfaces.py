@@ -62,7 +62,7 @@ _EVERY_NODE_PUBLISHES = {"/parameter_events", "/rosout"}
 """Absolute, as ROS has them."""
 
 _REFERENCES = [topics.REFERENCE_POSE, topics.REFERENCE_POSTURE]
-_PLANS = [topics.PLAN_PATH, topics.PLAN_STATISTICS, topics.PLAN_REQUEST]
+_PLANS = [topics.PLAN_PATH, topics.PLAN_MARKERS, topics.PLAN_STATISTICS, topics.PLAN_REQUEST]
 
 
 def _node(
@@ -96,7 +96,7 @@ HEARD_BY_VIEWER = (
     topics.JOINT_STATES,
     topics.EXTERNAL_TORQUE,
     topics.OBSTACLES,
-    topics.PLAN_PATH,
+    topics.PLAN_MARKERS,
     topics.SIM_CONTACTS,
     topics.PLAN_STATISTICS,
     topics.SAFETY_STATE,

@@ -8,6 +8,7 @@ from typing import Any
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.errors import InputError
+from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.messages.safety_state import ERROR, WARN, is_stopped, read_contact, read_level
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.world.spheres import Spheres
@@ -50,8 +51,7 @@ class Frame:
     obstacles
         Spheres and the edges of deformable bodies.
     plan
-        (N, 3) positions of the flange in the newest plan, m; None also after a stop or the end of a goal has withdrawn
-        it.
+        The newest plan; None also after a stop or the end of a goal has withdrawn it.
     forces
         True contact force on each link by its name, N; only the simulation knows them.
     goal
@@ -64,7 +64,7 @@ class Frame:
     q: Array
     external_torque: Array | None = None
     obstacles: Spheres | None = None
-    plan: Array | None = None
+    plan: PlanPicture | None = None
     forces: Mapping[str, float] = field(default_factory=dict)
     goal: Array | None = None
     safety: Mapping[str, SafetyStatus] = field(default_factory=dict)

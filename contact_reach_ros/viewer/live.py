@@ -9,6 +9,7 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.errors import InputError
+from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.messages.values import FARTHEST, goal_in, numbers
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.viewer.frame import Frame, SafetyStatus
@@ -35,7 +36,7 @@ class LiveState:
     obstacles
         The present obstacles; None before the first.
     plan
-        (N, 3) positions of the flange that the newest plan predicts, m; None once it is withdrawn.
+        Motion that the newest plan predicts; None once it is withdrawn.
     goal
         (3,), m, of the newest plan; None before the first.
     safety
@@ -47,7 +48,7 @@ class LiveState:
         self.history = History(arm.joint_names)
         self.external_torque: Array | None = None
         self.obstacles: Spheres | None = None
-        self.plan: Array | None = None
+        self.plan: PlanPicture | None = None
         self.goal: Array | None = None
         self.safety: dict[str, SafetyStatus] = {}
         self._heard = clock

@@ -15,13 +15,13 @@ from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent, Series, arm_of_bag, goal_distance, read_signals
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
-from contact_reach_ros.messages.plan_reader import read_path
+from contact_reach_ros.messages.plan_reader import PlanPicture, read_plan
 from contact_reach_ros.messages.safety_state import WARN
 from contact_reach_ros.viewer.frame import Frame, safety_status
 from contact_reach_ros.viewer.plots import SPAN
 
-_PATHS, _OBSTACLES = "/plan/path", "/obstacles"
-"""Topics that are read from the bag when their moment is shown."""
+_PICTURES, _OBSTACLES = "/plan/markers", "/obstacles"
+"""Topics with large messages, which are read from the bag when their moment is shown."""
 _SAMPLES = 0.05
 """Time between the points of a curve, s: 400 of them over the span of a plot."""
 _ROUNDING = 1e-9
@@ -85,7 +85,7 @@ class Recording:
         self.duration = float(self.ticks[-1])
         force = signals.contact_force
         self._link_forces = np.stack([force.column(link) for link in self.arm.contact_links], axis=1)
-        self._received_ns = {topic: self._reception_times(topic) for topic in (_PATHS, _OBSTACLES)}
+        self._received_ns = {topic: self._reception_times(topic) for topic in (_PICTURES, _OBSTACLES)}
         self._message_times = {topic: signals.clock.of_receptions(ns) for topic, ns in self._received_ns.items()}
         self._kept: dict[str, tuple[int, Any]] = {}
         self._safety = sorted(signals.safety_states, key=itemgetter(0))
@@ -111,7 +111,7 @@ class Recording:
             q=self._q[tick],
             external_torque=signals.external_torque.values[torque] if torque >= 0 else None,
             obstacles=self._newest(_OBSTACLES, time, lambda raw: self._obstacles.read(raw.data)),
-            plan=self._newest(_PATHS, time, self._read_plan),
+            plan=self._newest(_PICTURES, time, self._read_plan),
             forces=dict(zip(self.arm.contact_links, self._link_forces[force].tolist(), strict=True))
             if force >= 0
             else {},
@@ -149,10 +149,10 @@ class Recording:
         value: T | None = kept[1]
         return value
 
-    def _read_plan(self, raw: RawMessage) -> Array | None:
+    def _read_plan(self, raw: RawMessage) -> PlanPicture | None:
         """The plan in a message; None if it cannot be decoded."""
         message = self._reader.decode(raw)
-        return None if message is None else read_path(message)
+        return None if message is None else read_plan(message)
 
 
 def _row(times: Array, time: float) -> int:

@@ -10,6 +10,7 @@ import trimesh
 import viser
 
 from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.palette import BLUE, ORANGE, PURPLE, SKY_BLUE, VERMILION, as_bytes
 from contact_reach_ros.viewer.arm import ArmView
 from contact_reach_ros.viewer.frame import Frame
@@ -76,24 +77,31 @@ class SceneView:
 
 
 class _PlanView:
-    """Path of the flange."""
+    """Paths of flange and elbow."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
-        self._shown: Array | None = None
-        self._line: Any = None
+        self._shown: PlanPicture | None = None
+        self._lines: list[Any] = []
 
-    def show(self, plan: Array | None) -> None:
-        """Show the positions (N, 3) of a plan, m; None hides it."""
+    def show(self, plan: PlanPicture | None) -> None:
+        """Show a plan; None hides it."""
         if plan is self._shown:
             return
         self._shown = plan
-        if self._line is not None:
-            self._line.remove()
-            self._line = None
-        if plan is not None and len(plan) > 1:
-            segments = np.stack([plan[:-1], plan[1:]], axis=1).astype(np.float32)
-            self._line = self._server.scene.add_line_segments("/plan", segments, as_bytes(BLUE), thickness=0.006)
+        for line in self._lines:
+            line.remove()
+        self._lines = []
+        if plan is not None:
+            self._add("flange", BLUE, plan.flange)
+            self._add("elbow", ORANGE, plan.elbow)
+
+    def _add(self, name: str, colour: str, points: Array) -> None:
+        if len(points) > 1:
+            segments = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+            self._lines.append(
+                self._server.scene.add_line_segments(f"/plan/{name}", segments, as_bytes(colour), thickness=0.006)
+            )
 
 
 class _ObstacleView:

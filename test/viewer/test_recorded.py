@@ -64,8 +64,8 @@ def test_obstacles_and_plan_are_those_of_the_moment(recording):
     assert before.plan is None and len(before.obstacles) == len(after.obstacles) == 1
     # The path begins near the flange of the moment for which it was planned.
     flange = link_frames(ARM, after.q)[1][-1]
-    assert np.linalg.norm(after.plan[0] - flange) < 0.03
-    assert np.linalg.norm(after.plan[-1] - after.goal) < np.linalg.norm(flange - after.goal)
+    assert np.linalg.norm(after.plan.flange[0] - flange) < 0.03
+    assert np.linalg.norm(after.plan.flange[-1] - after.goal) < np.linalg.norm(flange - after.goal)
 
 
 def test_events_are_on_the_robots_clock(recording):
