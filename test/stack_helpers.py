@@ -25,7 +25,7 @@ from rclpy.publisher import Publisher
 from ros_domains import fresh_domain
 
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.serialized import JointStateWriter
+from contact_reach_ros.messages.serialized import joint_state_writer
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.managed_node import ManagedNode
@@ -82,13 +82,13 @@ class AtRest:
 
     def __init__(self, node: Node) -> None:
         self._node, self._ticks = node, itertools.count(1)
-        self._writer = JointStateWriter(ARM.joint_names, ARM.base_frame, ["position", "velocity", "effort"])
+        self._writer = joint_state_writer(ARM.joint_names, ARM.base_frame, ["position", "velocity", "effort"])
 
     def give(self, count: int = 1, torque: np.ndarray = REST) -> None:
         """`torque`: measured at the joints, (n,), N m."""
         for tick in itertools.islice(self._ticks, count):
             # As encoders tell it; without any tremor they would be stuck.
-            data = self._writer.write(tick * TICK_NS, HOME + 1e-5 * (tick % 2), REST, torque)
+            data = self._writer.write(HOME + 1e-5 * (tick % 2), REST, torque, stamp_ns=tick * TICK_NS)
             hand_in(self._node.inbox, topics.JOINT_STATES, data)
             self._node.inbox.run_tasks()
 

@@ -58,7 +58,7 @@ def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Map
     with connect(discovery, namespace) as client:
         client.wait_for(client.missing)
         client.wait_for(lambda: [] if _OBSERVER in client.settings else ["settings of the observer"])
-        reader = JointStateReader(client.arm.joint_names, topics.JOINT_STATES.name, with_effort=True)
+        reader = JointStateReader(client.arm.joint_names, topics.JOINT_STATES.name)
         states: list[JointState] = []
         client.inbox.add(topics.JOINT_STATES, lambda data: states.append(reader.read(data)), _QOS, serialized=True)
         client.wait_for(lambda: [] if states else [topics.JOINT_STATES.name])

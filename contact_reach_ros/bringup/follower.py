@@ -12,8 +12,8 @@ from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.topics import Topic
-from contact_reach_ros.messages.values import nanoseconds, pick
 from contact_reach_ros.ros.client import PLANNER, StackClient
 from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.timing import NANOSECONDS
@@ -62,7 +62,8 @@ class Follower(StackClient):
         self.distance = float("nan")
         self.force = 0.0
         self._commanded = False
-        self.inbox.add(topics.JOINT_STATES, self._on_state, _RELIABLE)
+        self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
+        self.inbox.add(topics.JOINT_STATES, self._on_state, _RELIABLE, serialized=True)
         self.inbox.add(topics.SIM_CONTACTS, self._on_contacts, topics.NEWEST)
 
     def wait_to_start(self, stack: StackProcesses) -> None:
@@ -102,13 +103,12 @@ class Follower(StackClient):
             f"contact {self.force:5.1f} N   {self.state}"
         )
 
-    def _on_state(self, message: JointState) -> None:
-        joints = self._model.arm.joint_names
-        self.position, _ = self._model.tip_pose(pick(message, joints, "position", topics.JOINT_STATES.name))
+    def _on_state(self, data: bytes) -> None:
+        self.stamp_ns, q, _, torque = self._reader.read(data)
+        self.position, _ = self._model.tip_pose(q)
         self.distance = float(np.linalg.norm(self.position - self.target))
-        self.stamp_ns = nanoseconds(message.header.stamp)
         # The driver knows no acting torque while its brakes are closed.
-        self._commanded = bool(np.isfinite(message.effort).all())
+        self._commanded = torque is not None and bool(np.isfinite(torque).all())
 
     def _on_contacts(self, message: JointState) -> None:
         self.force = message.effort[-1] if message.effort else 0.0

@@ -14,7 +14,7 @@ from rclpy.task import Future
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.control.adapter_settings import EffortSettings
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.serialized import CommandWriter
+from contact_reach_ros.messages.serialized import command_writer
 
 try:
     from controller_manager_msgs.srv import SwitchController
@@ -77,7 +77,7 @@ class EffortTarget:
         self._order_problem = ""
         self._node, self._arm, self._settings = node, arm, settings
         self._indices: list[int] = []
-        self._writer = CommandWriter(arm.n)
+        self._writer = command_writer(arm.n)
         self._question: RepeatedRequest | None = None
         self._switch = None
         if settings.ask_joints:

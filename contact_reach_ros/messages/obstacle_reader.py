@@ -2,9 +2,9 @@
 
 To make a Python object of each of the hundreds of points in a message takes milliseconds; here they become arrays.
 
-A ball is a SPHERE. A deformable body is a SPHERE_LIST of the nodes that can move, one of those that are fixed, and a
-LINE_LIST of the edges that join them, told apart by their namespaces and held together by one id. A rigid body is a
-CUBE, in namespace 'plane' with everything behind the face to which its z axis points.
+A ball is a SPHERE, as large as its longest axis. A deformable body is a SPHERE_LIST of the nodes that can move, one of
+those that are fixed, and a LINE_LIST of the edges that join them, told apart by their namespaces and held together by
+one id. A rigid body is a CUBE, in namespace 'plane' with everything behind the face to which its z axis points.
 """
 
 from __future__ import annotations
@@ -35,16 +35,13 @@ _ADD = 0
 _CUBE, _SPHERE, _LINE_LIST, _SPHERE_LIST = 1, 2, 5, 7
 """Action and types of a visualization_msgs/msg/Marker."""
 
-_BALLS = {_SPHERE: "SPHERE", _SPHERE_LIST: "SPHERE_LIST"}
-_TYPES = {OBSTACLES: _BALLS, REST: _BALLS, FIXED: {_SPHERE_LIST: "SPHERE_LIST"}, EDGES: {_LINE_LIST: "LINE_LIST"}}
+_OF_BODIES = (OBSTACLES, REST, FIXED, EDGES)
 
 SPHERE_DAMPING, NODE_DAMPING = 30.0, 5.0
 """Damping of the motion of a ball, and of a node of a deformable body, N s/m: as the shipped scenes have it."""
 
 _MATCH = 1e-4
 """How far the end of an edge may be from its node, m."""
-_ROUND = 1e-3
-"""How much the three diameters of a sphere may differ, as a share."""
 
 _FLAG, _IDS, _POSE_AND_SCALE = struct.Struct("<?"), struct.Struct("<3i"), struct.Struct("<10d")
 _COLOR_TO_LOCKED = 16 + 8 + 1
@@ -105,7 +102,7 @@ class ObstacleMarkerReader:
             If a marker is in another frame.
         InputError
             If the bytes are no MarkerArray, a marker is of another type than its namespace needs, has no size or a
-            value that is not finite, a sphere is not round, or an edge ends where no node is; the marker is named.
+            value that is not finite, or an edge ends where no node is; the marker is named.
         """
         try:
             cursor = Cursor(data)
@@ -119,7 +116,7 @@ class ObstacleMarkerReader:
             if marker.frame != self._frame:
                 raise FrameError(f"obstacles: header.frame_id is '{marker.frame}'; expected '{self._frame}'")
             # Spheres may be in any other namespace too, as perception calls them.
-            kind = marker.namespace if marker.namespace in _TYPES else OBSTACLES
+            kind = marker.namespace if marker.namespace in _OF_BODIES else OBSTACLES
             key = (f"CUBE {marker.namespace}" if marker.type == _CUBE else kind, marker.id)
             if key in seen:
                 raise _refusal(marker, "comes twice; expected each namespace and id once")
@@ -154,7 +151,7 @@ class ObstacleMarkerReader:
         nodes = np.concatenate([movable, fixed])
         edges = _joined(number, body[EDGES].points if EDGES in body else np.zeros((0, 3)), nodes)
         counts = [len(movable), len(fixed)]
-        radii = [0.5 * body[kind].scale[0] if kind in body else 0.0 for kind in (OBSTACLES, FIXED)]
+        radii = [0.5 * max(body[kind].scale) if kind in body else 0.0 for kind in (OBSTACLES, FIXED)]
         return {
             "center": nodes,
             "rest": np.concatenate([rest, fixed]),
@@ -192,18 +189,12 @@ def _refusal(marker: _Marker, why: str) -> InputError:
 
 def _checked(marker: _Marker, kind: str) -> _Marker:
     """A marker of spheres or edges; raises `InputError` if it does not fit its namespace."""
-    types, size = _TYPES[kind], marker.scale[0]
+    types = (_LINE_LIST,) if kind == EDGES else (_SPHERE, _SPHERE_LIST)
     if marker.action != _ADD or marker.type not in types:
-        expected = " or ".join(types.values())
+        expected = "LINE_LIST" if kind == EDGES else "SPHERE or SPHERE_LIST"
         raise _refusal(marker, f"has type {marker.type} and action {marker.action}; expected {expected}, to ADD")
-    if kind in (OBSTACLES, FIXED) and not (
-        0.0 < size < np.inf and all(side == 0.0 or abs(side - size) <= _ROUND * size for side in marker.scale)
-    ):
-        raise _refusal(
-            marker,
-            f"has scale = {list(marker.scale)}; expected one diameter, m, in x, y and z, or in x alone: cover an "
-            "ellipsoid with several spheres, or with one as large as its longest axis",
-        )
+    if kind in (OBSTACLES, FIXED) and not 0.0 < np.max(marker.scale) < np.inf:
+        raise _refusal(marker, f"has scale = {list(marker.scale)}; expected a diameter in m")
     if marker.type != _SPHERE and (any(marker.position) or any(marker.orientation[:3])):
         raise _refusal(marker, "has a pose; expected none, and its points in the frame")
     points = np.array([marker.position]) if marker.type == _SPHERE else marker.points

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
+from numpy.typing import NDArray
 from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import Float64MultiArray
 
@@ -19,7 +20,6 @@ from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import (
-    ARRAY_START,
     COUNT,
     HEADER,
     JOINT_STATE_FIELDS,
@@ -32,6 +32,9 @@ from contact_reach_ros.messages.cdr import (
 )
 from contact_reach_ros.messages.values import checked_stamp, places_of
 from contact_reach_ros.timing import NANOSECONDS
+
+SLOT = 0.1
+"""Stands for a number that a `MessageWriter` writes; the other bytes of a message never look like it."""
 
 _DOUBLE = np.dtype("<f8")
 _SIZE_AND_STRIDE = struct.Struct("<2I")
@@ -69,126 +72,95 @@ class JointStateReader:
         The wanted joints in the wanted order.
     topic
         Name for error messages.
-    with_effort
-        Whether efforts are read, and checked.
     """
 
-    def __init__(self, joints: Sequence[str], topic: str, with_effort: bool = False) -> None:
+    def __init__(self, joints: Sequence[str], topic: str) -> None:
         self._joints = joints
         self._topic = topic
-        self._with_effort = with_effort
-        # Frame and names of the last message, which seldom change, and what follows from them.
-        self._names, self._names_end = b"", STAMP_END
+        # What the last message had besides numbers, where it stood, and where the wanted numbers follow from that.
+        self._fixed: list[bytes] | None = None
+        self._parts: list[slice] = []
+        self._slots: list[NDArray[np.intp]] = []
         self._count = 0
-        self._places = np.zeros(0, np.intp)
 
     def read(self, data: bytes) -> JointState:
-        """One state; its torque is None if the message has no efforts, or `with_effort` is not set.
+        """One state; its torque is None if the message has no efforts.
 
         Raises `InputError` if the bytes are no JointState, joints are missing, a field has not one value for each name,
         or the stamp is no time.
         """
-        values, at = [], self._names_end
         try:
-            if not self._names or data[STAMP_END:at] != self._names:
-                at = self._learn(data)
+            if [data[part] for part in self._parts] != self._fixed:
+                self._learn(data)
             seconds, nanosec = STAMP.unpack_from(data, HEADER)
-            for _ in JOINT_STATE_FIELDS:
-                (count,) = COUNT.unpack_from(data, at)
-                at = aligned(at + COUNT.size) if count else at + COUNT.size
-                values.append(np.frombuffer(data, _DOUBLE, count, at if count else 0))
-                at += 8 * count
+            numbers = np.frombuffer(data, _DOUBLE, self._count, HEADER)
         except (struct.error, ValueError) as error:
-            self._names = b""
             raise no_message(data, JointStateMessage.__name__, self._topic, error) from error
-        position, velocity, effort = values
-        has_effort = self._with_effort and len(effort) > 0
-        return JointState(
-            checked_stamp(seconds, nanosec, self._topic),
-            self._wanted(position, "position"),
-            self._wanted(velocity, "velocity"),
-            self._wanted(effort, "effort") if has_effort else None,
-        )
+        position, velocity, *effort = [numbers[slots] for slots in self._slots]
+        stamp_ns = checked_stamp(seconds, nanosec, self._topic)
+        return JointState(stamp_ns, position, velocity, effort[0] if effort else None)
 
-    def _learn(self, data: bytes) -> int:
-        """Look for the joints among the names of this message; returns where its fields begin."""
+    def _learn(self, data: bytes) -> None:
+        """Find the wanted numbers in a message whose names, or numbers of values, differ from the last one's."""
+        self._fixed, self._parts, self._slots = None, [], []
         names, counts = joint_state_layout(data)
-        self._places = places_of(self._joints, names, self._topic)
-        self._count = len(names)
-        self._names_end = counts[0]
-        self._names = data[STAMP_END : self._names_end]
-        return self._names_end
+        places = places_of(self._joints, names, self._topic)
+        for field, at in zip(JOINT_STATE_FIELDS, counts, strict=False):
+            (count,) = COUNT.unpack_from(data, at)
+            if field == "effort" and not count:
+                break
+            if count != len(names):
+                raise InputError(
+                    f"{self._topic}: {field} has {count} values; expected one for each of {len(names)} names"
+                )
+            self._slots.append((aligned(at + COUNT.size) - HEADER) // _DOUBLE.itemsize + places)
+        self._count = (counts[-1] - HEADER) // _DOUBLE.itemsize
+        self._parts = [slice(STAMP_END, counts[0]), *(slice(at, at + COUNT.size) for at in counts[:-1])]
+        self._fixed = [data[part] for part in self._parts]
 
-    def _wanted(self, values: Array, field: str) -> Array:
-        if len(values) != self._count:
-            raise InputError(
-                f"{self._topic}: {field} has {len(values)} values; expected one for each of {self._count} names"
-            )
-        return values[self._places]
 
-
-class JointStateWriter:
-    """Writes serialised JointState messages.
+class MessageWriter:
+    """Writes serialised messages that differ in their numbers, and in the stamp of their header, only.
 
     Parameters
     ----------
-    names
-        Content of the field name.
-    frame_id
-        Content of header.frame_id.
-    fields
-        Which of position, velocity and effort are filled, one value for each name.
+    message
+        With `SLOT` in place of each number that is written.
     """
 
-    def __init__(self, names: Sequence[str], frame_id: str, fields: Sequence[str]) -> None:
-        message = JointStateMessage(name=list(names), **{field: [0.0] * len(names) for field in fields})
-        message.header.frame_id = frame_id
-        data = encode(message)
-        _, counts = joint_state_layout(data)
-        self._buffer = bytearray(data[: counts[-1]])
-        starts = {field: aligned(at + COUNT.size) for field, at in zip(JOINT_STATE_FIELDS, counts, strict=False)}
-        self._values = [np.frombuffer(self._buffer, _DOUBLE, len(names), starts[field]) for field in fields]
+    def __init__(self, message: Any) -> None:
+        self._buffer = bytearray(encode(message))
+        numbers = np.frombuffer(self._buffer, _DOUBLE, (len(self._buffer) - HEADER) // _DOUBLE.itemsize, HEADER)
+        slots = np.flatnonzero(numbers == SLOT)
+        runs = np.split(slots, np.flatnonzero(np.diff(slots) > 1) + 1)
+        self._values = [numbers[run[0] : run[-1] + 1] for run in runs]
 
-    def write(self, stamp_ns: int, *values: Array | Sequence[float]) -> bytes:
-        """The message with this stamp in ns and these values, one array for each of the fields, in their order."""
-        STAMP.pack_into(self._buffer, HEADER, *divmod(stamp_ns, NANOSECONDS))
+    def write(self, *values: Array | Sequence[float], stamp_ns: int | None = None) -> bytes:
+        """The message with these values, an array for each field in their order, and this stamp, ns, if it has one."""
+        if stamp_ns is not None:
+            STAMP.pack_into(self._buffer, HEADER, *divmod(stamp_ns, NANOSECONDS))
         for place, value in zip(self._values, values, strict=True):
             place[:] = value
         return bytes(self._buffer)
 
 
-class WrenchWriter:
-    """Writes serialised WrenchStamped messages with a given header.frame_id."""
-
-    def __init__(self, frame_id: str) -> None:
-        message = WrenchStamped()
-        message.header.frame_id = frame_id
-        data = encode(message)
-        header = Cursor(data, STAMP_END)
-        header.skip(1)
-        start = aligned(header.at)
-        self._buffer = bytearray(data[: start + 6 * _DOUBLE.itemsize])
-        self._values = np.frombuffer(self._buffer, _DOUBLE, 6, start)
-
-    def write(self, stamp_ns: int, wrench: Array) -> bytes:
-        """The message with this stamp in ns and this force and moment, (6,), N and Nm."""
-        STAMP.pack_into(self._buffer, HEADER, *divmod(stamp_ns, NANOSECONDS))
-        self._values[:] = wrench
-        return bytes(self._buffer)
+def joint_state_writer(names: Sequence[str], frame_id: str, fields: Sequence[str]) -> MessageWriter:
+    """Writes JointState messages, of which `fields` are filled: position, velocity or effort."""
+    message = JointStateMessage(name=list(names), **{field: [SLOT] * len(names) for field in fields})
+    message.header.frame_id = frame_id
+    return MessageWriter(message)
 
 
-class CommandWriter:
-    """Writes serialised Float64MultiArray messages of `count` values without a layout."""
+def wrench_writer(frame_id: str) -> MessageWriter:
+    """Writes WrenchStamped messages, from force and moment, (6,), N and Nm."""
+    message = WrenchStamped(wrench=Wrench(**{part: Vector3(x=SLOT, y=SLOT, z=SLOT) for part in ("force", "torque")}))
+    message.header.frame_id = frame_id
+    return MessageWriter(message)
 
-    def __init__(self, count: int) -> None:
-        data = encode(Float64MultiArray(data=[0.0] * count))
-        self._buffer = bytearray(data[: ARRAY_START + count * _DOUBLE.itemsize])
-        self._values = np.frombuffer(self._buffer, _DOUBLE, count, ARRAY_START)
 
-    def write(self, values: Array) -> bytes:
-        """The message with these values."""
-        self._values[:] = values
-        return bytes(self._buffer)
+def command_writer(count: int) -> MessageWriter:
+    """Writes Float64MultiArray messages of `count` values without a layout."""
+    return MessageWriter(Float64MultiArray(data=[SLOT] * count))
 
 
 def read_command(data: bytes) -> Array:

@@ -91,18 +91,13 @@ def places_of(joints: Sequence[str], names: Sequence[str], topic: str) -> NDArra
     return np.array([names.index(joint) for joint in joints], np.intp)
 
 
-def pick(message: Any, joints: Sequence[str], field: str, topic: str) -> Array:
-    """One field of a JointState, (n,), in the order of the wanted joints.
-
-    Raises `InputError` if joints are missing or the field has not one value for each name.
-    """
-    places = places_of(joints, message.name, topic)
-    values = np.array(getattr(message, field), dtype=float)
-    if len(values) != len(message.name):
+def efforts(message: Any, topic: str) -> dict[str, float]:
+    """The efforts of a JointState by name; raises `InputError` if there is not one for each name."""
+    if len(message.effort) != len(message.name):
         raise InputError(
-            f"{topic}: {field} has {len(values)} values; expected one for each of {len(message.name)} names"
+            f"{topic}: effort has {len(message.effort)} values; expected one for each of {len(message.name)} names"
         )
-    return values[places]
+    return dict(zip(message.name, message.effort, strict=True))
 
 
 def read_settings(status: Any) -> dict[str, Any]:

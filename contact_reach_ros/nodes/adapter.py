@@ -19,7 +19,7 @@ from contact_reach_ros.drives.lbr import LbrTarget
 from contact_reach_ros.errors import InputError, StopCode, StopReason, requested
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_stop_state
-from contact_reach_ros.messages.serialized import JointStateReader, JointStateWriter, read_command
+from contact_reach_ros.messages.serialized import JointStateReader, joint_state_writer, read_command
 from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.process import run
@@ -48,7 +48,7 @@ class AdapterNode(StoppableNode):
         self._published: tuple[Phase, str] | None = None
         if isinstance(self._target, LbrTarget):
             self._write_state = self.make_writer(topics.JOINT_STATES)
-            self._state_writer = JointStateWriter(
+            self._state_writer = joint_state_writer(
                 self.arm.joint_names, self.arm.base_frame, ["position", "velocity", "effort"]
             )
             self._target.listen(self.inbox, self._forward, self.stream_qos)
@@ -144,7 +144,7 @@ class AdapterNode(StoppableNode):
     def _forward(self, state: JointState) -> None:
         """Publish a joint state that the drive's messages contain."""
         assert state.torque is not None
-        self._write_state(self._state_writer.write(state.stamp_ns, state.q, state.v, state.torque))
+        self._write_state(self._state_writer.write(state.q, state.v, state.torque, stamp_ns=state.stamp_ns))
 
     def _on_state(self, data: bytes) -> None:
         state = self._reader.read(data)

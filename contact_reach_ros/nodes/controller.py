@@ -20,7 +20,7 @@ from contact_reach_ros.messages.conversions import to_stop_state
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
 from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
-from contact_reach_ros.messages.serialized import CommandWriter, JointStateReader
+from contact_reach_ros.messages.serialized import JointStateReader, command_writer
 from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer
@@ -69,10 +69,8 @@ class ControllerNode(StoppableNode):
         """What the planner plans with and this controller has not."""
         self._other_watch = ""
         """What the observer watches with and this controller's own watch has not."""
-        self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name, with_effort=bool(self._watch))
-        is_required = self.settings["supervision"].require_observer
-        self._observer = "required" if is_required else "not required: the arm may move unwatched"
-        self._writer = CommandWriter(self.arm.n)
+        self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
+        self._writer = command_writer(self.arm.n)
         self._controller = self._make_controller()
         if self._watch:
             self._controller.watch_with(self._make_watcher())
@@ -123,7 +121,6 @@ class ControllerNode(StoppableNode):
         waiting = "" if controller.started else controller.not_yet or controller.not_vouched
         values = {
             "mode": controller.mode.value,
-            "observer": self._observer,
             "plans accepted": controller.references.accepted,
             "plan halves unpaired": controller.references.unpaired,
             "plan age s": controller.references.age(controller.stamp_ns),
@@ -226,8 +223,7 @@ class ControllerNode(StoppableNode):
             # Bags must not end between a stop and what led to it.
             self._intake.flush()
         mode = controller.mode.value
-        values = {"mode": mode, "observer": self._observer}
-        self._safety.publish(to_stop_state(self.NAME, self.arm, controller.stop_reason, mode, values))
+        self._safety.publish(to_stop_state(self.NAME, self.arm, controller.stop_reason, mode, {"mode": mode}))
         if controller.stop_reason:
             is_silent = controller.mode is Mode.SILENT
             what = "stop, without commands" if is_silent else "compliant stop"

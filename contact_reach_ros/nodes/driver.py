@@ -22,7 +22,7 @@ from contact_reach_ros.errors import InputError, StopCode, StopReason, requested
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_stop_state, to_time
 from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter
-from contact_reach_ros.messages.serialized import JointStateWriter, read_command
+from contact_reach_ros.messages.serialized import joint_state_writer, read_command
 from contact_reach_ros.ros.lockstep import LockstepDriver
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
@@ -87,8 +87,8 @@ class DriverNode(ManagedNode):
         self._wake_up_late = Histogram()
         self._peak_contact = np.zeros(len(self.arm.contact_links))
         names, base = self.arm.joint_names, self.arm.base_frame
-        self._state_writer = JointStateWriter(names, base, ["position", "velocity", "effort"])
-        self._contact_writer = JointStateWriter([*self.arm.contact_links, "sum", "max"], base, ["effort"])
+        self._state_writer = joint_state_writer(names, base, ["position", "velocity", "effort"])
+        self._contact_writer = joint_state_writer([*self.arm.contact_links, "sum", "max"], base, ["effort"])
         self._obstacle_writer = ObstacleMarkerWriter(self._scene)
 
     def configure(self) -> None:
@@ -176,7 +176,7 @@ class DriverNode(ManagedNode):
             self._yield_to_controller()
         if contacts:
             forces = self._peak_contact.tolist()
-            self._write_contacts(self._contact_writer.write(now_ns, [*forces, sum(forces), max(forces)]))
+            self._write_contacts(self._contact_writer.write([*forces, sum(forces), max(forces)], stamp_ns=now_ns))
             self._peak_contact[:] = 0.0
         if shows_obstacles:
             self._obstacles.publish(self._obstacle_writer.write(robot.plant.obstacle_positions(), now_ns))
@@ -202,7 +202,7 @@ class DriverNode(ManagedNode):
     def publish_state(self, state: JointState) -> None:
         """Publish what the sensors show."""
         assert state.torque is not None
-        self.write_state(self._state_writer.write(state.stamp_ns, state.q, state.v, state.torque))
+        self.write_state(self._state_writer.write(state.q, state.v, state.torque, stamp_ns=state.stamp_ns))
 
     def _publish_safety(self) -> None:
         actuation, reason = self.robot.plant.actuation.value, self.robot.stop_reason

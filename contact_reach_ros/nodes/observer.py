@@ -11,7 +11,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_safety_state
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.safety_state import MONITORING, findings
-from contact_reach_ros.messages.serialized import JointStateReader, JointStateWriter, WrenchWriter
+from contact_reach_ros.messages.serialized import JointStateReader, joint_state_writer, wrench_writer
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS, ObserverSettings, SourceSettings
@@ -36,12 +36,12 @@ class ObserverNode(StoppableNode):
         self._safety = self.make_publisher(topics.SAFETY_STATE)
         self.follow(topics.JOINT_STATES, self._on_state)
         self._intake = self.log_intake(topics.OBSERVER_INTAKE)
-        self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name, with_effort=True)
+        self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         source: SourceSettings = self.settings[""]
         self._budget = load_budget(source.contact_budget).resolve(self.arm)
         self._observer = self._make_observer()
-        self._torque_writer = JointStateWriter(self.arm.joint_names, self.arm.base_frame, ["effort"])
-        self._wrench_writer = WrenchWriter(self.arm.base_frame)
+        self._torque_writer = joint_state_writer(self.arm.joint_names, self.arm.base_frame, ["effort"])
+        self._wrench_writer = wrench_writer(self.arm.base_frame)
         # What two arms report in turns is the external torque of neither.
         self.exclude([topics.JOINT_STATES])
 
@@ -98,7 +98,7 @@ class ObserverNode(StoppableNode):
             self._publish(report)
 
     def _publish(self, report: SafetyReport) -> None:
-        self._write_torque(self._torque_writer.write(report.stamp_ns, report.residual))
+        self._write_torque(self._torque_writer.write(report.residual, stamp_ns=report.stamp_ns))
         self._intake.outputs += 1
         if report.due:
             if report.reason and report.has_news:
@@ -110,7 +110,9 @@ class ObserverNode(StoppableNode):
                 self.say(f"stop: {why}; call ~/reset to continue" if is_stop else why)
             self._safety.publish(to_safety_state(report, self.NAME, self.arm))
         if self._observer.updates % _WRENCH_EVERY == 0:
-            self._write_wrench(self._wrench_writer.write(report.stamp_ns, self._observer.momentum.flange_wrench()))
+            self._write_wrench(
+                self._wrench_writer.write(self._observer.momentum.flange_wrench(), stamp_ns=report.stamp_ns)
+            )
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_plan
 from contact_reach_ros.messages.safety_state import ERROR
 from contact_reach_ros.messages.serialized import JointStateReader
-from contact_reach_ros.messages.values import pick
+from contact_reach_ros.messages.values import efforts, places_of
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.ros.client import Client
@@ -118,7 +118,9 @@ class ViewerNode(ManagedNode):
         self.live.on_joint_state(stamp_ns, q, time.monotonic())
 
     def _on_torque(self, message: JointState) -> None:
-        self.live.external_torque = pick(message, self.arm.joint_names, "effort", topics.EXTERNAL_TORQUE.name)
+        found = efforts(message, topics.EXTERNAL_TORQUE.name)
+        places = places_of(self.arm.joint_names, list(found), topics.EXTERNAL_TORQUE.name)
+        self.live.external_torque = np.array(list(found.values()))[places]
 
     def _on_obstacles(self, data: bytes) -> None:
         self.live.obstacles = self._obstacles.read(data)
@@ -127,12 +129,7 @@ class ViewerNode(ManagedNode):
         self.live.plan = read_plan(message)
 
     def _on_contacts(self, message: JointState) -> None:
-        if len(message.effort) != len(message.name):
-            raise InputError(
-                f"sim/contacts: effort has {len(message.effort)} values; expected one for each of "
-                f"{len(message.name)} names"
-            )
-        forces = dict(zip(message.name, message.effort, strict=True))
+        forces = efforts(message, topics.SIM_CONTACTS.name)
         largest = forces.pop("max", float("nan"))
         forces.pop("sum", None)
         self.live.on_contacts(forces, largest)

@@ -6,9 +6,6 @@ as the planner takes it, and need no transforms.
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
-
 import numpy as np
 from geometry_msgs.msg import Pose, PoseStamped
 from rclpy.lifecycle import LifecycleNode
@@ -24,6 +21,11 @@ from contact_reach_ros.messages.topics import GOAL_POSE, OBSTACLES
 from contact_reach_ros.messages.values import quaternion, vector
 from contact_reach_ros.ros.inbox import qos_profile
 
+try:
+    import tf2_ros
+except ImportError:
+    tf2_ros = None
+
 
 class Frames:
     """Publishes goals and obstacles again in the base frame.
@@ -38,13 +40,10 @@ class Frames:
 
     def __init__(self, node: LifecycleNode, base_frame: str) -> None:
         self._base_frame = base_frame
-        try:
-            self._tf2: Any = importlib.import_module("tf2_ros")
-        except ImportError:
-            self._tf2 = None
+        if tf2_ros is None:
             return
-        self._buffer = self._tf2.Buffer()
-        self._listener = self._tf2.TransformListener(self._buffer, node)
+        self._buffer = tf2_ros.Buffer()
+        self._listener = tf2_ros.TransformListener(self._buffer, node)
         self._goals, self._obstacles = (
             node.create_publisher(topic.type, topic.name, qos_profile(topic.qos)) for topic in (GOAL_POSE, OBSTACLES)
         )
@@ -82,11 +81,11 @@ class Frames:
     def _transform(self, header: Header, what: str) -> tuple[Array, Array]:
         """Rotation (3, 3) and origin (3,), m, of a frame in the base frame: at the stamp, or the latest without one."""
         frame, base = header.frame_id, self._base_frame
-        if self._tf2 is None:
+        if tf2_ros is None:
             raise InputError(f"{what}: frame '{frame}' is unknown; expected '{base}', or install tf2_ros")
         try:
             found = self._buffer.lookup_transform(base, frame, Time.from_msg(header.stamp)).transform
-        except self._tf2.TransformException as error:
+        except tf2_ros.TransformException as error:
             raise InputError(f"{what}: no transform from '{frame}' to '{base}': {str(error).strip()}") from error
         return Rotation.from_quat(quaternion(found.rotation)).as_matrix(), vector(found.translation)
 

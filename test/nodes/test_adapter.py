@@ -12,7 +12,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_status
-from contact_reach_ros.messages.serialized import CommandWriter, JointStateWriter
+from contact_reach_ros.messages.serialized import command_writer, joint_state_writer
 from contact_reach_ros.nodes.adapter import AdapterNode
 
 ARM = load_arm("iiwa14")
@@ -28,11 +28,11 @@ class Bench(Beside):
         super().__init__(AdapterNode())
         self.sent = []
         self.node._write = lambda data: self.sent.append(deserialize_message(data, Float64MultiArray).data.tolist())
-        self._states = JointStateWriter(NAMES, ARM.base_frame, ["position", "velocity"])
-        self._commands = CommandWriter(7)
+        self._states = joint_state_writer(NAMES, ARM.base_frame, ["position", "velocity"])
+        self._commands = command_writer(7)
 
     def state(self, tick=1):
-        hand_in(self.node.inbox, topics.JOINT_STATES, self._states.write(tick * TICK_NS, HOME, REST))
+        hand_in(self.node.inbox, topics.JOINT_STATES, self._states.write(HOME, REST, stamp_ns=tick * TICK_NS))
 
     def command(self, torque=TORQUE):
         hand_in(self.node.inbox, topics.ADAPTER_COMMANDS, self._commands.write(torque))

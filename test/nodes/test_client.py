@@ -48,11 +48,12 @@ def test_what_is_missing_is_named_by_topic_until_it_is_heard(client):
         assert missing in ", ".join(client.missing())
         hear(client, topic, message)
         assert missing not in ", ".join(client.missing())
-    state = JointState(name=ARM.joint_names, position=ARM.home, effort=[float("nan")] * ARM.n)
+    rest, unknown = [0.0] * ARM.n, [float("nan")] * ARM.n
+    state = JointState(name=ARM.joint_names, position=ARM.home, velocity=rest, effort=unknown)
     state.header.stamp.sec = 1
     assert "joint_states" in client.missing()
     hear(client, topics.JOINT_STATES, state)
-    state.effort = [0.0] * ARM.n
+    state.effort = rest
     assert client.missing()[-1] == "effort_controller/commands by the driver, whose brakes are closed"
     hear(client, topics.JOINT_STATES, state)
     assert client.missing() == ["goal_pose by the planner"]

@@ -89,7 +89,7 @@ def recorded():
         plans += raw.topic == "/reference/posture"
         if plans == 10:
             break
-    heard = {name: deserialize_message(data, types[name]) for name, data in heard.items()}
+    heard = {name: deserialize_message(data, types[name]) for name, data in heard.items() if name in types}
     obstacles = [*BallSettings().at(POSITION), *WallSettings(nodes=(2, 2, 2)).at(POSITION)[:1]]
     scene = Scene("test", ARM, 0, HOME, np.zeros(3), tuple(obstacles))
     shown = obstacle_markers(scene, rest_positions(scene), heard["joint_states"].header.stamp.sec * NANOSECONDS)

@@ -1,6 +1,5 @@
 """The planner node: what it knows of obstacles, contact, frames and its controller, and when it does not plan."""
 
-import sys
 import types
 
 import numpy as np
@@ -8,8 +7,9 @@ import pytest
 import rclpy
 from arm_simulation import ARM, HOME, REST, TICK_NS
 from geometry_msgs.msg import Transform, TransformStamped, Vector3
+from plans import make_plan
 from rclpy.serialization import deserialize_message, serialize_message
-from stack_helpers import hand_in, ros, wait_for
+from stack_helpers import Published, hand_in, ros, wait_for
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.arm import rotation_about
@@ -24,20 +24,24 @@ from contact_reach_ros.messages.conversions import (
     to_time,
 )
 from contact_reach_ros.messages.obstacle_markers import obstacle_markers
+from contact_reach_ros.messages.plan_reader import read_path
 from contact_reach_ros.messages.safety_state import WARN
-from contact_reach_ros.messages.serialized import JointStateWriter
+from contact_reach_ros.messages.serialized import joint_state_writer
 from contact_reach_ros.messages.values import quaternion, vector
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.planner import PlannerNode
-from contact_reach_ros.ros.frames import Frames
+from contact_reach_ros.ros import frames
 from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.world.spheres import rest_positions
 
 BALL, WALL = load_scene("ball"), load_scene("wall")
 GOAL = np.array([0.5, 0.1, 0.4])
+PLAN = make_plan(
+    np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1)), np.zeros((3, 7)), predicted_positions=np.arange(12.0).reshape(4, 3)
+)
 FLANGE, _ = RobotModel(ARM).tip_pose(HOME)
-WRITER = JointStateWriter(ARM.joint_names, ARM.base_frame, ["position", "velocity"])
+WRITER = joint_state_writer(ARM.joint_names, ARM.base_frame, ["position", "velocity"])
 
 
 @pytest.fixture
@@ -47,7 +51,7 @@ def planner():
         node = PlannerNode()
         node.asked = []
         node._make_plan = node.asked.append
-        node.show = lambda tick: node._on_state(WRITER.write(tick * TICK_NS, HOME, REST))
+        node.show = lambda tick: node._on_state(WRITER.write(HOME, REST, stamp_ns=tick * TICK_NS))
         node.show(1000)
         yield node
 
@@ -177,6 +181,16 @@ def test_only_a_node_that_commands_the_arm_and_hears_both_halves_of_a_plan_count
     wait_for(lambda: planner.diagnosis()[1]["heard by"] == "/shadow", 10, "one that only computes counts, too")
 
 
+def test_a_withdrawn_plan_is_no_longer_shown(planner):
+    planner._output._path = Published()
+    planner._planner.plan = PLAN
+    planner._output.publish(PLAN)
+    planner._withdraw("a stop")
+    path, nothing = planner._output._path.messages
+    np.testing.assert_array_equal(read_path(path), PLAN.predicted_positions)
+    assert read_path(nothing) is None and nothing.header.frame_id == ARM.base_frame
+
+
 CAMERA, SEEN_NS = "camera", 997 * TICK_NS
 TURN, ORIGIN = rotation_about((0.6, 0.0, 0.8), 0.7), np.array([0.4, -0.3, 0.9])
 """Where the camera is in the base frame."""
@@ -199,9 +213,8 @@ class Buffer:
 @pytest.fixture
 def tf2_ros(monkeypatch):
     """No registry has tf2 as wheels: the part of its interface that is used."""
-    module = types.ModuleType("tf2_ros")
-    module.Buffer, module.TransformListener, module.TransformException = Buffer, lambda *_: None, TransformError
-    monkeypatch.setitem(sys.modules, "tf2_ros", module)
+    names = {"Buffer": Buffer, "TransformListener": lambda *_: None, "TransformException": TransformError}
+    monkeypatch.setattr(frames, "tf2_ros", types.SimpleNamespace(**names))
 
 
 @pytest.fixture
@@ -237,8 +250,7 @@ def test_without_a_transform_a_goal_is_refused_with_its_reason(transforming, fra
 
 
 def test_without_tf2_other_frames_are_refused(planner, monkeypatch):
-    monkeypatch.setitem(sys.modules, "tf2_ros", None)
-    planner._frames = Frames(planner, ARM.base_frame)
+    monkeypatch.setattr(frames, "tf2_ros", None)
     markers = ball(997)
     markers.markers[0].header.frame_id = CAMERA
     send(planner, topics.OBSTACLES, MarkerArray())

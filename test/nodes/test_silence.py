@@ -16,7 +16,7 @@ from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_status, to_time
 from contact_reach_ros.messages.safety_state import DISTRUST, ERROR, OK
-from contact_reach_ros.messages.serialized import CommandWriter, JointStateWriter
+from contact_reach_ros.messages.serialized import command_writer, joint_state_writer
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
@@ -41,10 +41,10 @@ def test_in_lockstep_a_state_waits_for_what_the_observer_says_of_it(controller, 
         others.create_publisher(topic.type, topic.name, qos_profile(topic.qos)) for topic in heard
     ]
     wait_for(lambda: all(each.get_subscription_count() for each in publishers), 20, "the controller hears all")
-    writer = JointStateWriter(ARM.joint_names, ARM.base_frame, ["position", "velocity"])
+    writer = joint_state_writer(ARM.joint_names, ARM.base_frame, ["position", "velocity"])
 
     def show(tick):
-        state.publish(writer.write(tick * TICK_NS, HOME, REST))
+        state.publish(writer.write(HOME, REST, stamp_ns=tick * TICK_NS))
         while (controller._controller.stamp_ns or 0) < tick * TICK_NS:
             controller.inbox.wait(NANOSECONDS // 10)
 
@@ -81,7 +81,7 @@ def test_a_controller_that_commands_nothing_is_done_with_a_state_all_the_same(mo
 
 
 def test_with_open_brakes_time_stands_still_until_the_planner_has_had_a_goal(monkeypatch):
-    command, waited = CommandWriter(ARM.n).write(RobotModel(ARM).gravity_at(np.array(ARM.home))), []
+    command, waited = command_writer(ARM.n).write(RobotModel(ARM).gravity_at(np.array(ARM.home))), []
     monkeypatch.setattr(Inbox, "poll", lambda _: driver._on_command(command))
 
     def wait(*_):
@@ -128,7 +128,7 @@ def clock(monkeypatch):
 
 def test_a_late_driver_first_lets_the_controller_answer(clock, monkeypatch):
     driver = DriverNode()
-    command = CommandWriter(ARM.n).write(np.arange(7.0))
+    command = command_writer(ARM.n).write(np.arange(7.0))
     taken = []
     monkeypatch.setattr(driver.robot, "command", lambda torque, _: taken.append(torque.tolist()))
     monkeypatch.setattr(driver.inbox, "wait", lambda _: driver._on_command(command))
@@ -164,7 +164,7 @@ def test_who_was_paused_does_not_take_others_for_silent(clock, monkeypatch):
     monkeypatch.setattr(driver.inbox, "wait", lambda _: None)
     model = RobotModel(ARM)
     model.update(HOME, REST)
-    command = CommandWriter(ARM.n).write(model.gravity)
+    command = command_writer(ARM.n).write(model.gravity)
     driver.pace.next_ns = clock.now_ns
     for _ in range(1000):
         driver._realtime_tick()
