@@ -34,7 +34,7 @@ RATES = (1000, 500, 200)
 """Of drivers' joint states, Hz, drawn."""
 PLANNERS = ("small", "scripted")
 """The real one with a small budget, or one that leads the arm along its path whatever stands in the way; drawn."""
-SMALL_PLANNER = PlanningSettings(population=32, line_search_points=16, max_steps=2, deadline=0.0)
+SMALL_PLANNER = PlanningSettings(population=32, max_steps=2, deadline=0.0)
 """Faults do not depend on how good the plans are."""
 _WORKSPACE_MINIMUM = (-2.0, -2.0, -0.05)
 """m: the floor of the scenes is 0.1 m below the base, and the hand goes down to it before its centre does."""

@@ -15,6 +15,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from benchmarks.baselines.solvers import SOLVERS
 from benchmarks.output import Report, command_line, given, machine, run_command, say, table, write_report
 from benchmarks.recorded_plans import RecordedPlan, record_plans
 from benchmarks.statistics import estimate
@@ -46,7 +47,7 @@ LABELS = {"hybrid": "hybrid, Algorithm 1", "cma": "plain CMA-ES", "gradient": "t
 
 def make_tireless(name: str, cost: CostFunction, size: int, settings: PlanningSettings) -> HybridSolver:
     """The solver of this name, whose searches end at the greatest number of steps only."""
-    solver = HybridSolver(cost, size, dataclasses.replace(settings, solver=name, deadline=0.0))
+    solver = SOLVERS[name](cost, size, dataclasses.replace(settings, deadline=0.0))
     solver.stagnation_steps = 1_000_000
     return solver
 

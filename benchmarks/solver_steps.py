@@ -14,13 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.baselines.solvers import SOLVERS
 from benchmarks.output import Report, command_line, given, machine, run_command, table, write_report
 from benchmarks.recorded_plans import RecordedPlan
 from benchmarks.solver import make_cost_of, make_tireless, states_of
 from benchmarks.statistics import estimate
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.planning.cost import ReferenceSpace
-from contact_reach_ros.planning.settings import SOLVERS, PlanningSettings
+from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import Number, Problem, term_weights
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.presets import preset
@@ -30,7 +31,7 @@ PAPER = {"hybrid": 0.34, "cma": 0.22, "gradient": 0.40}
 
 STEPS = 10
 
-_BUDGET = ("horizon", "substeps", "population", "line_search_points")
+_BUDGET = ("horizon", "substeps", "population")
 
 SHIPPED, LITERAL = PRESETS = ("shipped", "paper_linear")
 """The planner as it is, and the paper's cost, sampling and boundary penalty as printed, with the same budget."""

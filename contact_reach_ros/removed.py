@@ -95,6 +95,10 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "unexpected_contact.patience": _NOT_TUNED + "0.01 s",
         "unexpected_contact.least_force": _NOT_TUNED + "5 N",
         "unexpected_contact.retreat": _NOT_TUNED + "0.05 m",
+        "planning.line_search_points": "leave it out: as many values of β are tried as planning.population says",
+        "planning.solver": "leave it out, or pass solver to make_planner; benchmarks.solver compares them",
+        "planning.null_space": "leave it out: plans move the redundant joints; the method reference_posture of the "
+        "benchmarks has law (6)",
         "planning.device": "set the environment variable JAX_PLATFORMS to cpu or cuda instead",
         "sphere_damping": _NOT_TUNED + "30 N s/m",
         "node_damping": _NOT_TUNED + "5 N s/m",

@@ -453,8 +453,7 @@ def make_planner(
     controller
         Settings of the controller that follows the plans.
     solver
-        Makes the solver from a cost, the number of its variables and the settings; None for the one that the
-        settings name.
+        Makes the solver from a cost, the number of its variables and the settings; None for Algorithm 1.
     core
         Makes the plans instead of the package's own method.
     """

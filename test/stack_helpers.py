@@ -32,7 +32,7 @@ from contact_reach_ros.ros.managed_node import ManagedNode
 
 SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
 """The bag that the package ships: the arm touches a ball."""
-SMALL_PLANNER = {"planning": {"population": 32, "line_search_points": 16, "max_steps": 3}}
+SMALL_PLANNER = {"planning": {"population": 32, "max_steps": 3}}
 """Plans in a fraction of the time; the programs are those of `planning_helpers.SMALL`, which are compiled only once."""
 PATIENT_PLANNER = {**SMALL_PLANNER, "latency": 0.25}
 """For real time: with less than a quarter of a second for each plan a busy machine makes every plan too late to take

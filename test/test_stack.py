@@ -28,7 +28,7 @@ from contact_reach_ros.stack import Stack, Tick
 from contact_reach_ros.world.goal import FREE, Goal
 from contact_reach_ros.world.spheres import Spheres
 
-SMALL = PlanningSettings(population=32, line_search_points=16, max_steps=3, deadline=0.0)
+SMALL = PlanningSettings(population=32, max_steps=3, deadline=0.0)
 FREE_SCENE = load_scene("free")
 GOAL = Goal(FREE_SCENE.target)
 BEYOND = Goal([5.0, 0.0, 0.0])

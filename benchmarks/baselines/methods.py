@@ -10,13 +10,16 @@ from benchmarks.baselines.contact_rrt import find_contact_path
 from benchmarks.baselines.joint_torque import TorqueController, TorquePlanner
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.reactive import ReactivePlanner
+from benchmarks.baselines.reference_posture import PosturePlanner
 from benchmarks.baselines.rrt_star import JointPath, PathSettings, find_path
+from benchmarks.baselines.solvers import CmaSolver, GradientSolver
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.control.constants import stop_damping
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.solver.hybrid import HybridSolver
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 
@@ -48,14 +51,11 @@ PATH_METHODS = (*_PATHS, "contact_rrt")
 PLANLESS = (*PATH_METHODS, "reactive")
 """Methods that plan nothing on the way, so that no plan takes time."""
 
-_CHANGES: dict[str, dict[str, str | float]] = {
-    "contact_reach": {"null_space": "planned", "solver": "hybrid"},
-    "no_detours": {"null_space": "planned", "solver": "hybrid", "detour_patience": 0.0},
-    "reference_posture": {"null_space": "reference_posture", "solver": "hybrid"},
-    "cma_es": {"null_space": "planned", "solver": "cma"},
-    "gradient": {"null_space": "planned", "solver": "gradient"},
-}
-"""Settings that make the difference between methods with the same planner; all others are the same."""
+_SOLVERS = {"cma_es": CmaSolver, "gradient": GradientSolver}
+"""In place of Algorithm 1, by method."""
+
+_WITHOUT_DETOURS = ("no_detours", "reference_posture")
+"""Law (6) has a posture of its own, to which no detour leads."""
 
 
 def _search(
@@ -112,15 +112,19 @@ def make_method(
         search = _search(name, permitted_force, settings.contact_stiffness)
         return Method(CollisionFreePlanner(arm, settings, controller.impedance, search, seed), controller)
     if name == "joint_torque":
-        settings = dataclasses.replace(settings, seed=seed, solver="hybrid")
+        settings = dataclasses.replace(settings, seed=seed)
         damping = stop_damping(arm, controller.supervision)
         planner = TorquePlanner(arm, settings, controller.impedance, permitted_force, capacity, damping)
         return Method(planner, controller, TorqueController)
-    settings = dataclasses.replace(settings, seed=seed, **_CHANGES[name])  # type: ignore[arg-type]
-    if settings.null_space == "reference_posture":
+    settings = dataclasses.replace(settings, seed=seed)
+    if name in _WITHOUT_DETOURS:
+        settings = dataclasses.replace(settings, detour_patience=0.0)
+    kind: type[RecedingHorizonPlanner] = RecedingHorizonPlanner
+    if name == "reference_posture":
+        kind = PosturePlanner
         # Law (6) pulls from afar, which the controller would refuse as a posture that is too far away.
         supervision = dataclasses.replace(controller.supervision, max_posture_error=_ANY_POSTURE)
         controller = dataclasses.replace(controller, supervision=supervision)
     reach = controller.supervision.max_position_error
-    core = RecedingHorizonPlanner(arm, settings, controller.impedance, permitted_force, capacity, reach)
-    return Method(core, controller)
+    solver = _SOLVERS.get(name, HybridSolver)
+    return Method(kind(arm, settings, controller.impedance, permitted_force, capacity, reach, solver), controller)

@@ -284,7 +284,7 @@ class ContactReach(PipelineEnv):
         sys = load_system(build_mjcf(arm))
         super().__init__(sys.tree_replace({"opt.timestep": settings.knot_duration}), "generalized")
         self._compiled = self.sys
-        settings = dataclasses.replace(settings, pipeline="closed_loop", null_space="planned", horizon=1)
+        settings = dataclasses.replace(settings, pipeline="closed_loop", horizon=1)
         self._problem = Problem(
             q=single(scene.start[:, None]),
             v=single(np.zeros((arm.n, 1))),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -17,7 +17,7 @@ from contact_reach_ros.planning.settings import BOUNDS, POSTURE_BOUND, ROTATION_
 from contact_reach_ros.planning.terms import Context, Number, Problem, Rollout, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.dynamics import Capsules, link_frames, place_capsules
-from contact_reach_ros.planning.transfer.lanes import collect, make_keep, single
+from contact_reach_ros.planning.transfer.lanes import collect, make_keep
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.planning.transfer.pipeline import N_TASK, Pose, Reference, System
 
@@ -36,8 +36,6 @@ class Objective:
     """Its time step is the knot duration divided by `substeps`."""
     horizon: int
     substeps: int
-    posture: jax.Array | None = field(default=None, kw_only=True)
-    """(n, 1) q_d of law (6), or None to pull the joints by the actions' Δq."""
 
     def cost(self, problem: Problem, actions: jax.Array) -> jax.Array:
         """Cost (B,) of the actions (H, 6 + n, B)."""
@@ -136,10 +134,7 @@ class Objective:
         if self.ramp:
             q = q + 0.5 * self.ramp * v
             pose = pipeline.tip_pose(self.system, q)
-        reference = pipeline.latch(self.system, q, pose, action)
-        if self.posture is None:
-            return reference
-        return reference._replace(posture=_spread(self.posture, action.shape[-1]))
+        return pipeline.latch(self.system, q, pose, action)
 
 
 def on_the_way(before: Reference | None, reference: Reference, share: Number | None) -> Reference:
@@ -163,15 +158,12 @@ def make_objective(arm: Arm, settings: PlanningSettings, gains: ImpedanceSetting
     """The cost over the transfer function that `settings.pipeline` names."""
     system = System(arm_model(arm), gains, settings.contact_stiffness, settings.knot_duration / settings.substeps)
     arguments = (system, settings.horizon, settings.substeps)
-    posture = None
-    if settings.null_space == "reference_posture":
-        posture = single(np.array(arm.default("reference_posture"))[:, None])
     if settings.pipeline == "closed_loop":
-        return Objective(*arguments, posture=posture)
+        return Objective(*arguments)
     # Brax's own pipeline is for comparison, and slow to import.
     from contact_reach_ros.planning.brax_env import BraxObjective
 
-    return BraxObjective(*arguments, arm, posture=posture)
+    return BraxObjective(*arguments, arm)
 
 
 def knot_bounds(arm: Arm, settings: PlanningSettings) -> Array:
@@ -183,8 +175,8 @@ def knot_bounds(arm: Arm, settings: PlanningSettings) -> Array:
 class ReferenceSpace:
     """Decision variables of a plan: of each knot, the rows of Δx that law (1) controls, and Δq.
 
-    Δq is left out where it has no effect: under law (6), or where no joint is left to the null space. The solver
-    searches points (N, B) in units of the bounds, within [-1, 1].
+    Δq is left out where no joint is left to the null space. The solver searches points (N, B) in units of the bounds,
+    within [-1, 1].
 
     Attributes
     ----------
@@ -200,7 +192,7 @@ class ReferenceSpace:
 
     def __init__(self, arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> None:
         self.objective = make_objective(arm, settings, gains)
-        moves_posture = settings.null_space == "planned" and arm.n > gains.rows
+        moves_posture = arm.n > gains.rows
         self._planned = np.r_[: gains.rows, N_TASK : N_TASK + moves_posture * arm.n]
         self.bounds = np.tile(knot_bounds(arm, settings)[self._planned], settings.horizon)
         self.spread = np.full_like(self.bounds, SIGMA) if settings.sampling == BOUNDS else PAPER_SIGMA / self.bounds

@@ -92,8 +92,7 @@ class Detours:
             The one that the last plan was made for; None after a reset.
         """
         settings = self.settings
-        # Law (6) pulls to a posture of its own.
-        if settings.detour_patience == 0.0 or settings.null_space != "planned":
+        if settings.detour_patience == 0.0:
             return request
         if last is None or last.detour is None or not request.detours or not request.goal.same_as(last.goal):
             return request._replace(detour=Detour(np.inf, 0.0, 0, False, False, request.q))

@@ -49,22 +49,19 @@ class KnownObstacles:
         self.are_seen = False
         self._max_age = max_age
         self._required = required
-        self._stamp_ns: int | None = None
+        self._stamp_ns = math.inf
 
-    def see(self, spheres: Spheres, stamp_ns: int | None) -> None:
-        """Take the obstacles as they were at `stamp_ns`; None stands for the next `advance`."""
+    def see(self, spheres: Spheres, stamp_ns: float) -> None:
+        """Take the obstacles as they were at `stamp_ns`; infinity stands for the next `advance`."""
         self.spheres, self.are_seen, self._stamp_ns = spheres, True, stamp_ns
 
     def advance(self, now_ns: int) -> None:
         """Take note of the time: nothing was seen later than now, as a clock set back or another clock may say."""
-        if self._stamp_ns is None or self._stamp_ns > now_ns:
-            self._stamp_ns = now_ns
+        self._stamp_ns = min(self._stamp_ns, now_ns)
 
     def age(self, now_ns: int) -> float:
         """How old they are, s; NaN before they are seen."""
-        if not self.are_seen:
-            return float("nan")
-        return 0.0 if self._stamp_ns is None else max(now_ns - self._stamp_ns, 0) / NANOSECONDS
+        return max(now_ns - self._stamp_ns, 0) / NANOSECONDS if self.are_seen else math.nan
 
     def problem(self, now_ns: int) -> str:
         """Why nothing can be planned among them, and what to do about it; empty if it can."""
@@ -270,7 +267,7 @@ class Planner:
 
     def see(self, obstacles: Spheres, stamp_ns: int | None = None) -> None:
         """Take all obstacles as they were at `stamp_ns`, on the clock of the joint states; None for now."""
-        now_ns = None if self.state is None else self.state.stamp_ns
+        now_ns = math.inf if self.state is None else self.state.stamp_ns
         self.obstacles.see(obstacles, now_ns if stamp_ns is None else stamp_ns)
 
     def hear(self, report: SafetyReport) -> None:

@@ -12,9 +12,6 @@ from contact_reach_ros.world.goal import HOLD, ORIENTATIONS
 
 PIPELINES = ("closed_loop", "generalized")
 BOUNDS, PAPER = SAMPLINGS = ("bounds", "paper")
-SOLVERS = {"hybrid": 1, "cma": 0, "gradient": 10}
-"""Gradient steps per solver step by the name of the solver: Algorithm 1, and those that the paper compares it with."""
-NULL_SPACES = ("planned", "reference_posture")
 
 ROTATION_BOUND = POSTURE_BOUND = 0.2
 """γ of the rotation in Δx, each axis, and of Δq, each joint, rad, as in the paper; the speed is up to Δx."""
@@ -82,22 +79,17 @@ class PlanningSettings(Settings):
         minimum=0.0,
         maximum=10000.0,
     )
-    null_space: str = setting(
-        "planned",
-        "what moves the redundant joints: Δq of the plan, or law (6) for comparison: a steady pull to one posture",
-        choices=NULL_SPACES,
-    )
     translation_bound: float = setting(0.01, "γ of Δx, each axis", unit="m", minimum=0.001, maximum=0.1)
     contact_stiffness: float = setting(
         1000.0, "force per penetration between a link and a sphere", unit="N/m", minimum=10.0, maximum=100000.0
     )
-    solver: str = setting(
-        "hybrid", "Algorithm 1, or the same without or with many gradient steps", choices=tuple(SOLVERS)
-    )
     population: int = setting(
-        200, "k: candidates per step, of which the best quarter makes the next mean", minimum=8, maximum=20000
+        200,
+        "k: candidates per step, of which the best quarter makes the next mean, and values of β tried along the "
+        "gradient",
+        minimum=8,
+        maximum=20000,
     )
-    line_search_points: int = setting(200, "values of β tried along the gradient", minimum=2, maximum=20000)
     sampling: str = setting(
         BOUNDS,
         "initial standard deviations and boundary penalty of candidates: relative to γ and to the spread of their "

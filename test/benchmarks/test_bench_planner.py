@@ -9,7 +9,7 @@ from benchmarks.paper import JOINT_TORQUE, METHOD
 from benchmarks.planner import PlannerBench, bench_planner
 from contact_reach_ros.planning.settings import PlanningSettings
 
-TINY = PlanningSettings(deadline=0.0, population=16, line_search_points=16, horizon=1, max_steps=3, substeps=2)
+TINY = PlanningSettings(deadline=0.0, population=16, horizon=1, max_steps=3, substeps=2)
 
 
 @pytest.mark.slow

@@ -6,12 +6,13 @@ import pytest
 from arm_simulation import ARM
 
 import contact_reach_ros as cr
+from benchmarks.baselines.methods import make_method
 from benchmarks.baselines.rrt_star import PathSettings, find_path
 from contact_reach_ros.arm import link_frames
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.presets import preset
 from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
+from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions, sphere_capacity
 
 SEED = 0
 
@@ -23,21 +24,17 @@ pytestmark = pytest.mark.slow
 def results():
     """How the method and reference posture end in the wall scene with what the nodes run, without deadlines."""
     scene, found = cr.load_scene("wall", arm=ARM, seed=SEED), {}
-    for null_space in ("planned", "reference_posture"):
-        settings = preset("shipped", ARM)
-        settings = settings._replace(planning=dataclasses.replace(settings.planning, null_space=null_space))
-        if null_space == "reference_posture":
-            # Law (6) pulls from afar.
-            supervision = dataclasses.replace(settings.controller.supervision, max_posture_error=7.0)
-            controller = dataclasses.replace(settings.controller, supervision=supervision)
-            settings = settings._replace(controller=controller)
-        stack = cr.Stack(scene, **settings._asdict())
-        found[null_space] = stack.run(cr.Goal(scene.target), timeout=12.0, until_settled=null_space == "planned")
+    shipped, force = preset("shipped", ARM), cr.ContactBudget().permitted_force
+    planning = dataclasses.replace(shipped.planning, deadline=0.0)
+    for name in ("contact_reach", "reference_posture"):
+        method = make_method(ARM, name, sphere_capacity(scene), force, SEED, planning, shipped.controller)
+        stack = cr.Stack(scene, **shipped._replace(controller=method.settings)._asdict(), planner=method.planner)
+        found[name] = stack.run(cr.Goal(scene.target), timeout=12.0, until_settled=name == "contact_reach")
     return found
 
 
 def test_the_planner_settles_at_a_goal_behind_walls_and_presses_less_than_half_as_hard_as_reference_posture(results):
-    ours, theirs = results["planned"], results["reference_posture"]
+    ours, theirs = results["contact_reach"], results["reference_posture"]
     assert ours.reached and ours.settled
     assert 0.0 < ours.max_contact_force < 0.5 * theirs.max_contact_force
 
@@ -48,4 +45,4 @@ def test_contact_is_what_makes_that_goal_reachable(results):
     rotation = link_frames(ARM, scene.start)[0][-1]
     with pytest.raises(PlanningError, match="no collision-free posture at the goal"):
         find_path(ARM, scene.start, Target(scene.target, rotation), spheres, PathSettings(clearance=0.0), seed=0)
-    assert results["planned"].settled
+    assert results["contact_reach"].settled

@@ -12,7 +12,7 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.scene_file import read_scene
 
 TINY = Setup(
-    planning=PlanningSettings(deadline=0.0, population=32, line_search_points=8, horizon=1, substeps=2, max_steps=3),
+    planning=PlanningSettings(deadline=0.0, population=32, horizon=1, substeps=2, max_steps=3),
     timeout=0.6,
 )
 

@@ -23,7 +23,7 @@ from contact_reach_ros.world.scene import Scene
 
 pytestmark = pytest.mark.slow
 
-SETTINGS = PlanningSettings(deadline=0.0, population=48, line_search_points=32, horizon=2, max_steps=6)
+SETTINGS = PlanningSettings(deadline=0.0, population=48, horizon=2, max_steps=6)
 GAINS, CONTROLLER = ImpedanceSettings(), ControllerSettings()
 REST = np.zeros(ARM.n)
 ROTATIONS, ORIGINS = link_frames(ARM, HOME)

@@ -5,10 +5,12 @@ import dataclasses
 import pytest
 
 from benchmarks.baselines.methods import METHODS, make_method
+from benchmarks.baselines.reference_posture import PostureSpace
+from benchmarks.baselines.solvers import CmaSolver, GradientSolver
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.planning.settings import PlanningSettings
 
-SMALL = PlanningSettings(deadline=0.0, population=16, line_search_points=8, max_steps=2)
+SMALL = PlanningSettings(deadline=0.0, population=16, max_steps=2)
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -19,11 +21,14 @@ def test_every_name_makes_a_method(name):
 
 
 def test_methods_differ_in_what_their_names_say_and_in_nothing_else():
-    def settings_of(name: str) -> PlanningSettings:
-        return make_method(load_arm(), name, 0, 10.0, 3, SMALL).planner._settings
+    def parts_of(name: str) -> tuple[PlanningSettings, type, type, type]:
+        planner = make_method(load_arm(), name, 0, 10.0, 3, SMALL).planner
+        return planner._settings, *(type(part) for part in (planner._space, planner._solver, planner._predictor))
 
-    ours = settings_of("contact_reach")
-    assert ours == dataclasses.replace(SMALL, seed=3)
-    assert settings_of("reference_posture") == dataclasses.replace(ours, null_space="reference_posture")
-    assert settings_of("cma_es") == dataclasses.replace(ours, solver="cma")
-    assert settings_of("gradient") == dataclasses.replace(ours, solver="gradient")
+    settings, *others = parts_of("contact_reach")
+    direct = dataclasses.replace(settings, detour_patience=0.0)
+    assert settings == dataclasses.replace(SMALL, seed=3)
+    assert parts_of("no_detours") == (direct, *others)
+    assert parts_of("reference_posture") == (direct, PostureSpace, *others[1:])
+    assert parts_of("cma_es") == (settings, others[0], CmaSolver, others[2])
+    assert parts_of("gradient") == (settings, others[0], GradientSolver, others[2])

@@ -20,7 +20,7 @@ from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
 SETTINGS = PlanningSettings()
-FEW = PlanningSettings(population=32, line_search_points=32, max_steps=4, substeps=4)
+FEW = PlanningSettings(population=32, max_steps=4, substeps=4)
 CONTACTS = 40
 GAP = 0.001
 """Between a ball and the link that moves towards it, m."""

@@ -7,11 +7,12 @@ import pytest
 from contact_reach_command import bench
 
 from benchmarks import pictures
+from benchmarks.baselines.solvers import SOLVERS
 from benchmarks.solver import LABELS, bench_solver, excess
 from benchmarks.solver_steps import PRESETS, bench_solver_steps
-from contact_reach_ros.planning.settings import SOLVERS, PlanningSettings
+from contact_reach_ros.planning.settings import PlanningSettings
 
-SMALL = PlanningSettings(population=16, line_search_points=16, horizon=1, substeps=2)
+SMALL = PlanningSettings(population=16, horizon=1, substeps=2)
 
 
 @pytest.mark.slow

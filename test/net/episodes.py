@@ -19,7 +19,7 @@ RECORDED = Path(__file__).with_name("episodes.npz")
 STRIDE = 10
 """Ticks from one kept sample to the next."""
 TIMEOUT = 6.0
-PLANNING = cr.PlanningSettings(population=32, line_search_points=32, max_steps=3, deadline=0.0)
+PLANNING = cr.PlanningSettings(population=32, max_steps=3, deadline=0.0)
 """Few candidates: what is compared is the arithmetic, not the quality of plans."""
 
 

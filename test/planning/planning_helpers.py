@@ -20,7 +20,7 @@ from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.world.spheres import Spheres
 
 PERMITTED_FORCE = 10.0
-SMALL = PlanningSettings(deadline=0.0, population=32, line_search_points=16)
+SMALL = PlanningSettings(deadline=0.0, population=32)
 """Enough candidates for tests that are not about their number.
 
 As many as in all other tests, which then share the compiled programs: to compile them takes longer than the tests.

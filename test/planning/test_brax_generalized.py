@@ -44,7 +44,7 @@ def test_it_moves_the_arm_as_the_closed_loop_does():
 @pytest.mark.slow
 def test_generalized_pipeline_makes_whole_plans_that_lead_around_the_ball():
     """In lockstep, with a small budget: ten plans a second of three solver steps with 32 candidates each."""
-    planning = dataclasses.replace(SMALL, pipeline="generalized", line_search_points=32, max_steps=3)
+    planning = dataclasses.replace(SMALL, pipeline="generalized", max_steps=3)
     scene = load_scene("ball", arm=ARM, seed=0)
     planner = make_planner(ARM, 1, planning=planning, replanning=ReplanningSettings(period=0.1))
     result = Stack(scene, planner=planner).run(Goal(scene.target), timeout=8.0)

@@ -26,11 +26,11 @@ NAMES = ("left", "right")
 
 def test_a_file_counts_in_a_namespace_as_in_the_root(tmp_path):
     """ROS itself ignores a section without a wildcard there."""
-    file = parameter_file(tmp_path / "own.yaml", planner={"period": 0.1, "planning": {"solver": "cma_es"}}, driver={})
+    file = parameter_file(tmp_path / "own.yaml", planner={"period": 0.1, "planning": {"sampling": "paper"}}, driver={})
     assert namespace_arguments("/", file, "planner") == []
     arguments = namespace_arguments("/left", file, "planner")
     assert arguments[:4] == ["-r", "__ns:=/left", "-r", "/clock:=clock"]
-    assert arguments[4:] == ["-p", "period:=0.1", "-p", 'planning.solver:="cma_es"']
+    assert arguments[4:] == ["-p", "period:=0.1", "-p", 'planning.sampling:="paper"']
     assert namespace_arguments("/left", file, "driver") == arguments[:4]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import time
 from collections.abc import Callable
@@ -12,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.planning.settings import PAPER, SOLVERS, PlanningSettings
+from contact_reach_ros.planning.settings import PAPER, PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, fresh, sample, shift_distribution, update
 from contact_reach_ros.planning.solver.solver import CostFunction, Solution
 from contact_reach_ros.planning.transfer.lanes import single
@@ -82,7 +81,7 @@ class HybridSolver:
     n
         Number of variables.
     settings
-        Settings of the planner, with the number of gradient steps in one step of the algorithm.
+        Settings of the planner.
 
     Attributes
     ----------
@@ -102,7 +101,6 @@ class HybridSolver:
         self.max_steps = settings.max_steps
         self.stagnation_steps = STAGNATION_STEPS
         self._rates = Rates.of(n, settings.elite)
-        self._gradient_steps = SOLVERS[settings.solver]
         self._step = jax.jit(self._advance)
 
     def reseed(self, seed: int) -> None:
@@ -148,42 +146,30 @@ class HybridSolver:
         def select(costs: jax.Array) -> Elite:
             return self._select_elite(search.distribution, sample, costs, outside)
 
-        if self._gradient_steps:
-            elite, points, costs = self._search_lines(problem, sample, draw, select)
-        else:
-            elite = select(self._cost(problem, sample.repaired))
-            points = elite.mean[:, None]
-            costs = self._cost(problem, points)
+        elite, points, costs = self._search_line(problem, sample, draw, select)
         return self._update_search(search, sample, elite, points, costs)
 
-    def _search_lines(
+    def _search_line(
         self, problem: Any, sample: Sample, draw: Draw, select: Callable[[jax.Array], Elite]
     ) -> tuple[Elite, jax.Array, jax.Array]:
-        """The elite, the points (n, L) of the last line search and their costs (L,).
+        """The elite, the points (n, k) of the line search and their costs (k,).
 
-        Candidates and lines are rounds of one loop, so that the program has the code of their costs, half of the time
-        to compile it, only once. The smaller batch is filled up with zeros.
+        Candidates and line are rounds of one loop, so that the program has the code of their costs, half of the time
+        to compile it, only once.
         """
-        candidates, lines = self._settings.population, self._settings.line_search_points
-        points = jnp.zeros((len(sample.points), max(candidates, lines)), sample.points.dtype)
-        repaired, costs = points.at[:, :candidates].set(sample.repaired), jnp.zeros_like(points[0])
-        shapes = jax.eval_shape(select, costs[:candidates])
-        nothing = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), shapes)
+        nothing = jnp.zeros_like(sample.points[0])
+        shapes = jax.eval_shape(select, nothing)
+        nobody = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), shapes)
 
         def search(index: jax.Array, last: tuple[Elite, jax.Array, jax.Array]) -> tuple[Elite, jax.Array, jax.Array]:
             def line() -> tuple[Elite, jax.Array]:
-                elite, points, costs = last
-                is_first = index == 1
-                elite = jax.tree.map(functools.partial(jnp.where, is_first), select(costs[:candidates]), elite)
-                mean = jnp.where(is_first, elite.mean, cheapest(points[:, :lines], costs[:lines])[0])
-                on_line = self._points_on_line(problem, mean, (*draw, index - 1))
-                return elite, jnp.zeros_like(points).at[:, :lines].set(on_line)
+                elite = select(last[2])
+                return elite, self._points_on_line(problem, elite.mean, draw)
 
-            elite, points = jax.lax.cond(index == 0, lambda: (last[0], repaired), line)
+            elite, points = jax.lax.cond(index == 0, lambda: last[:2], line)
             return elite, points, self._cost(problem, points)
 
-        elite, points, costs = jax.lax.fori_loop(0, 1 + self._gradient_steps, search, (nothing, points, costs))
-        return elite, points[:, :lines], costs[:lines]
+        return jax.lax.fori_loop(0, 2, search, (nobody, sample.repaired, nothing))
 
     def _draw_sample(self, distribution: Distribution, draw: Draw) -> Sample:
         """Lines 6 and 7."""
@@ -209,19 +195,22 @@ class HybridSolver:
         mean = distribution.mean + distribution.sigma * (steps @ valid) / jnp.maximum(valid.sum(), 1.0)
         return Elite(steps, valid, jnp.clip(mean, -1.0, 1.0))
 
-    def _points_on_line(self, problem: Any, mean: jax.Array, draw: Draw) -> jax.Array:
-        """Lines 14 and 15: points (n, L) to try along the descent direction, the mean itself first."""
+    def _points_on_line(self, problem: Any, mean: jax.Array, draw: Draw, line: int | jax.Array = 0) -> jax.Array:
+        """Lines 14 and 15: points (n, k) to try along the descent direction, the mean itself first.
+
+        `line` counts the line searches of one step, for solvers with several.
+        """
         slope = gradient(self._cost, problem, mean)
         slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
         direction = GRADIENT_REACH * slope / (jnp.abs(slope).max() + 1e-12)
-        beta = jax.random.uniform(seeded_key(draw, 1), (self._settings.line_search_points,), mean.dtype) ** 2
+        beta = jax.random.uniform(seeded_key((*draw, line), 1), (self._settings.population,), mean.dtype) ** 2
         beta = beta.at[0].set(0.0)
         return jnp.clip(mean[:, None] - direction[:, None] * beta, -1.0, 1.0)
 
     def _update_search(
         self, search: Search, sample: Sample, elite: Elite, points: jax.Array, costs: jax.Array
     ) -> Search:
-        """Lines 16 to 18 from points (n, L) to choose the mean from and their costs (L,)."""
+        """Lines 16 to 18 from points (n, k) to choose the mean from and their costs (k,)."""
         mean, cost = cheapest(points, costs)
         better = cost < search.best_cost
         return Search(
