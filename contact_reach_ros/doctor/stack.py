@@ -87,11 +87,6 @@ class Graph:
     command_order: Sequence[str] | None = None
 
     @property
-    def requires_observer(self) -> bool:
-        """Whether the controller starts an arm only while an observer watches it."""
-        return self.settings.get("controller", {}).get("supervision.require_observer") is not False
-
-    @property
     def nominal_rate(self) -> float:
         """Of joint states, Hz: what the controller reports, or else the default."""
         rate = self.settings.get("controller", {}).get("state_rate")

@@ -39,6 +39,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=REPLAY, description="Publishes a bag's messages under /replay.")
     parser.add_argument("bag", type=Path, metavar="BAG", help="a directory, or one mcap file")
     parser.add_argument("--rate", type=float, default=1.0, help="recorded time per time, 0.01 to 100 (default: 1)")
+    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="skip the first seconds (default: 0)")
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="publish these recorded topics only")
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until interrupted")
     parser.add_argument("--discovery", default="host", choices=CHOICES, help="who hears it (default: host)")
@@ -68,6 +69,8 @@ def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)
     reader = BagReader(options.bag)
     for note in reader.notes:
         print(f"{REPLAY}: {note}", file=sys.stderr)
+    if not 0.0 <= options.start <= reader.duration:
+        raise InputError(f"--start {options.start:g}: expected 0 to {reader.duration:.3f} s, which the bag has")
     chosen = choose_topics(reader, options.topics)
     stopped = threading.Event()
     with bare_node(REPLAY, options.discovery, arguments) as node:
@@ -126,7 +129,7 @@ def publish(
     chosen
         Topics to publish, with their message classes.
     options
-        With `rate`, and with `loop`: whether to begin again at the end.
+        With `start`, s, `rate`, and `loop`: whether to begin again at the end.
     stopped
         Ends the replay; a signal handler may set it.
     """
@@ -138,8 +141,14 @@ def publish(
     # Subscriptions have to be matched before the first message.
     stopped.wait(_MATCHED_S)
     began, count, rounds = time.monotonic(), 0, 0
+    start_ns = reader.start_ns + int(options.start * NANOSECONDS)
+    for message in reader.raw_messages([name for name in chosen if reader.topics[name].latched]):
+        # What latched topics still show then; publishers keep as many as they did.
+        if message.log_time_ns >= start_ns:
+            break
+        publishers[message.topic].publish(message.data)
     while not stopped.is_set() and (options.loop or not rounds):
-        for message in paced(reader.raw_messages(list(chosen)), reader.start_ns, options.rate, stopped):
+        for message in paced(reader.raw_messages(list(chosen), start_ns), start_ns, options.rate, stopped):
             publishers[message.topic].publish(message.data)
             count += 1
         rounds += 1
