@@ -181,7 +181,8 @@ def _parser() -> argparse.ArgumentParser:
 
     fitness = _later("doctor.fitness:run_fitness")
     bench = add("bench", fitness, "how well this machine keeps the time of the running stack")
-    bench.add_argument("--seconds", type=float, help="time that is measured, s (default: 60)")
+    seconds = "time in which missed ticks are counted, s; percentiles are of its last minute (default: 60)"
+    bench.add_argument("--seconds", type=float, help=seconds)
     bench.add_argument("--load", type=int, help="programs beside the stack that never sleep (default: 0)")
     _add_json(bench)
     return parser

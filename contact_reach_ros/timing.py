@@ -1,10 +1,8 @@
-"""Ticks, histograms of durations, and detection of old messages by their stamps, cheap enough for a 1 kHz loop."""
+"""Ticks, percentiles of durations, and detection of old messages by their stamps, cheap enough for a 1 kHz loop."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -23,10 +21,10 @@ GAP_PERIODS = 3
 GAPS_IN_A_ROW = 5
 """So many mean that the reader of the states is blind."""
 
-_BITS = 7
-"""Significant binary digits of the durations in a `Histogram`."""
+_KEPT = 60_000
+"""Number of durations from which percentiles are computed."""
 
-PERCENTILES = {"p50": 50.0, "p95": 95.0, "p99": 99.0, "p999": 99.9}
+PERCENTILES = {"p50": 50.0, "p95": 95.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 """Names of percentiles in diagnostics and reports."""
 
 _MOST_CATCH_UP_NS = 20_000_000
@@ -127,49 +125,23 @@ class Pace:
         return 1 + late
 
 
-class Histogram:
-    """Histogram of durations in buckets of 1 µs up to 0.1 ms, and of 1.6 % beyond.
-
-    Attributes
-    ----------
-    counts
-        Counts of durations by upper edge, µs.
-    maximum_ns
-        The longest duration, exactly.
-    """
+class Durations:
+    """The newest durations, a minute of them at 1 kHz."""
 
     def __init__(self) -> None:
-        self.counts: Counter[int] = Counter()
-        self.maximum_ns = 0
+        self._ns = np.zeros(_KEPT, np.int64)
+        self._count = 0
 
     def add(self, duration_ns: int) -> None:
-        """Count one duration in ns; one below zero, from a clock that was set back, counts as zero."""
-        whole_us = max(duration_ns, 0) // 1000
-        shift = max(0, whole_us.bit_length() - _BITS)
-        self.counts[((whole_us >> shift) + 1) << shift] += 1
-        self.maximum_ns = max(duration_ns, self.maximum_ns)
+        """Keep one duration, ns; one below zero, from a clock that was set back, counts as zero."""
+        self._ns[self._count % _KEPT] = max(duration_ns, 0)
+        self._count += 1
 
-    def summary(self) -> Mapping[str, float]:
-        """`percentiles_us`, none longer than the longest duration."""
-        return {name: min(value, self.maximum_ns / 1000) for name, value in percentiles_us(self.counts).items()}
-
-
-def write_counts(counts: Mapping[int, int]) -> str:
-    """Counts by upper edge in µs as text, for diagnostics: 'edge:count edge:count ...'."""
-    return " ".join(f"{edge}:{count}" for edge, count in sorted(counts.items()))
-
-
-def read_counts(text: str) -> Counter[int]:
-    """Parse what `write_counts` wrote."""
-    return Counter({int(edge): int(count) for edge, _, count in (entry.partition(":") for entry in text.split())})
-
-
-def percentiles_us(counts: Mapping[int, int]) -> dict[str, float]:
-    """Upper edges of the buckets that hold the percentiles, µs, by the names that reports use; NaN without counts."""
-    # Another thread may add to them meanwhile.
-    entries = sorted(counts.items())
-    if not entries:
-        return dict.fromkeys(PERCENTILES, math.nan)
-    total = np.cumsum([count for _, count in entries])
-    wanted = {name: percent / 100.0 * total[-1] for name, percent in PERCENTILES.items()}
-    return {name: float(entries[int(np.searchsorted(total, count))][0]) for name, count in wanted.items()}
+    def summary(self) -> dict[str, float]:
+        """Percentiles, µs, by their names in diagnostics and reports; NaN without durations."""
+        # Another thread may add to them meanwhile.
+        newest = self._ns[: self._count]
+        if not newest.size:
+            return dict.fromkeys(PERCENTILES, math.nan)
+        values = np.percentile(newest, [*PERCENTILES.values()]) / 1000.0
+        return dict(zip(PERCENTILES, values.tolist(), strict=True))

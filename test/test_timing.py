@@ -1,46 +1,23 @@
-"""Percentiles from buckets, and the order of stamps."""
+"""Percentiles of durations, and the order of stamps."""
 
 import math
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+import pytest
 
-from contact_reach_ros.timing import (
-    PERCENTILES,
-    Histogram,
-    StampOrder,
-    percentiles_us,
-    read_counts,
-    write_counts,
-)
-
-SHARE = 1 / 64
-"""Of a duration: width of its bucket, if that is not 1 µs."""
+from contact_reach_ros.timing import Durations, StampOrder
 
 
-def filled(durations_us: list[float]) -> Histogram:
-    histogram = Histogram()
-    for duration in durations_us:
-        histogram.add(round(1000 * duration))
-    return histogram
-
-
-@given(st.lists(st.integers(0, 99_999), min_size=1, max_size=200))
-def test_percentiles_are_exact_to_a_bucket(durations_us):
-    histogram = filled(durations_us)
-    for found in (histogram.summary(), percentiles_us(read_counts(write_counts(histogram.counts)))):
-        for name, percent in PERCENTILES.items():
-            true = np.percentile(durations_us, percent, method="inverted_cdf")
-            assert true <= found[name] <= true + max(1.0, SHARE * true)
-
-
-def test_the_longest_duration_is_exact_and_none_is_negative():
-    histogram = filled([-1.0, -1e9, 250_000.25])
-    assert histogram.maximum_ns == 250_000_250
-    assert histogram.summary()["p50"] == 1.0 and histogram.summary()["p999"] == 250_000.25
-    assert histogram.counts[1] == 2
-    assert all(math.isnan(value) for value in percentiles_us({}).values())
+def test_percentiles_are_of_the_newest_minute_in_microseconds():
+    durations = Durations()
+    assert all(math.isnan(value) for value in durations.summary().values())
+    durations.add(-5)
+    assert durations.summary()["p999"] == 0.0
+    newest = np.random.default_rng(1).integers(100_000, 400_000, 60_000)
+    for duration_ns in [*[900_000] * 1000, *newest.tolist()]:
+        durations.add(duration_ns)
+    expected = np.percentile(newest, [50.0, 95.0, 99.0, 99.9, 100.0]) / 1000.0
+    assert durations.summary() == pytest.approx(dict(zip(["p50", "p95", "p99", "p999", "max"], expected, strict=True)))
 
 
 class TestStampOrder:
@@ -64,19 +41,3 @@ class TestStampOrder:
         order.is_new(1000)
         assert not any(order.is_new(stamp) for stamp in [990] * 100 + [1000] * 100)
         assert order.is_new(1001)
-
-
-class Growing(dict[int, int]):
-    """Counts to which another thread adds whenever they were looked at."""
-
-    def __iter__(self):
-        return iter([edge for edge, _ in self.items()])
-
-    def items(self):
-        found = list(super().items())
-        self[len(found) + 1] = 1000
-        return found
-
-
-def test_counts_may_grow_while_they_are_summarised():
-    assert percentiles_us(Growing({1: 1})) == dict.fromkeys(PERCENTILES, 1.0)

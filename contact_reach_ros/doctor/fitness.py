@@ -26,7 +26,6 @@ from contact_reach_ros.report.summary import SUCCESS_DISTANCE
 from contact_reach_ros.resources import write_text
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import load_scene
-from contact_reach_ros.timing import percentiles_us, read_counts
 
 NAME = "fitness"
 DRIVER, CONTROLLER = "driver", "controller"
@@ -53,7 +52,7 @@ def run_fitness(file: Path | None = None, seconds: float = 60.0, load: int = 0) 
     file
         For the numbers; None for none.
     seconds
-        Time that is measured, s.
+        Time in which missed ticks are counted, s; percentiles are of the last minute.
     load
         Number of processes beside the stack that never sleep.
 
@@ -129,13 +128,11 @@ def _hogs(count: int) -> Iterator[None]:
 
 
 def timing_between(first: Counters, last: Counters) -> dict[str, Any]:
-    """Ticks, the share of them that were missed, and percentiles in µs, between two readings of the counters."""
+    """Ticks and the share of them that were missed between two readings, and percentiles of the last minute, µs."""
     ticks, missed = (int(last[DRIVER][name]) - int(first[DRIVER][name]) for name in ("ticks", "missed ticks"))
 
     def percentiles(node: str, name: str) -> dict[str, float]:
-        before, after = (read_counts(counters[node][f"{name} counts"]) for counters in (first, last))
-        found = percentiles_us(after - before)
-        return {key: found[key] for key in ("p50", "p99", "p999")}
+        return {key: float(last[node][f"{name} {key} us"]) for key in ("p50", "p99", "p999")}
 
     return {
         "ticks": ticks,

@@ -23,7 +23,7 @@ from contact_reach_ros.messages.serialized import JointStateReader, joint_state_
 from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.timing import Histogram, StampOrder
+from contact_reach_ros.timing import Durations, StampOrder
 
 _CONTROLLER = "controller"
 _GRAVITY = "gravity_compensation"
@@ -61,7 +61,7 @@ class AdapterNode(StoppableNode):
         self._disagreements: dict[str, str] = {}
         """By node, how its settings differ from what the adapter or its drive needs; empty where they do not."""
         self._passed = self._harmless = 0
-        self._delay = Histogram()
+        self._delay = Durations()
         """From the arrival of a command to its publication."""
         self._order = StampOrder()
         self.exclude([topics.JOINT_STATES, self._target.topic, topics.ADAPTER_COMMANDS])

@@ -30,7 +30,7 @@ from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.settings import Settings, full_name
-from contact_reach_ros.timing import Histogram, write_counts
+from contact_reach_ros.timing import Durations
 
 _PLANNER = "planner"
 _BUDGET = "budget"
@@ -75,7 +75,7 @@ class ControllerNode(StoppableNode):
         if self._watch:
             self._controller.watch_with(self._make_watcher())
         self._controller.not_yet = "still looking for other publishers"
-        self._compute = Histogram()
+        self._compute = Durations()
         self._published_mode: tuple[Mode, str] | None = None
         self.exclude([*ALONE, topics.SAFETY_STATE, *adapted])
 
@@ -129,7 +129,6 @@ class ControllerNode(StoppableNode):
             "joint states repeated": controller.order.repeated,
             "joint states older": controller.order.older,
             **{f"compute {key} us": value for key, value in self._compute.summary().items()},
-            "compute counts": write_counts(self._compute.counts),
         }
         return controller.stop_reason or waiting, values
 

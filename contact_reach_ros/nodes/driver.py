@@ -29,7 +29,7 @@ from contact_reach_ros.ros.process import run
 from contact_reach_ros.scenes.generate import make_scene, parse_target
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import DRIVER_SECTIONS, DriverSettings
-from contact_reach_ros.timing import NANOSECONDS, Histogram, Pace, write_counts
+from contact_reach_ros.timing import NANOSECONDS, Durations, Pace
 from contact_reach_ros.world.scene_file import read_scene
 
 _CONTACTS_EVERY = 5
@@ -83,8 +83,8 @@ class DriverNode(ManagedNode):
         self.pace = Pace(self._period_ns)
         self._published_ns = 0
         self.exclude([self.COMMANDS])
-        self._round_trip = Histogram()
-        self._wake_up_late = Histogram()
+        self._round_trip = Durations()
+        self._wake_up_late = Durations()
         self._peak_contact = np.zeros(len(self.arm.contact_links))
         names, base = self.arm.joint_names, self.arm.base_frame
         self._state_writer = joint_state_writer(names, base, ["position", "velocity", "effort"])
@@ -120,9 +120,8 @@ class DriverNode(ManagedNode):
             "actuation": self.robot.plant.actuation.value,
             "stop reason": self.robot.drive.stop_reason,
         }
-        for name, histogram in (("round trip", self._round_trip), ("wake-up late", self._wake_up_late)):
-            values |= {f"{name} {key} us": value for key, value in histogram.summary().items()}
-            values[f"{name} counts"] = write_counts(histogram.counts)
+        for name, durations in (("round trip", self._round_trip), ("wake-up late", self._wake_up_late)):
+            values |= {f"{name} {key} us": value for key, value in durations.summary().items()}
         return self.robot.drive.stop_reason or self.rivals, values
 
     def _realtime_tick(self) -> None:

@@ -36,7 +36,7 @@ from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.settings import Sections, Settings
-from contact_reach_ros.timing import Histogram
+from contact_reach_ros.timing import Durations
 from contact_reach_ros.world.goal import POSE, Goal
 
 _POLL_NS = 3_000_000
@@ -82,7 +82,7 @@ class PlannerNode(ManagedNode):
         """When the obstacles were sent, ns since the epoch."""
         self._late = self._detour = 0
         """Number of late plans, and of the detour that the arm is on; 0 for none."""
-        self._solve_times = Histogram()
+        self._solve_times = Durations()
         # Nothing is planned from what two arms report in turns.
         self.exclude([topics.JOINT_STATES, topics.SAFETY_STATE])
 
@@ -119,7 +119,6 @@ class PlannerNode(ManagedNode):
             "goals": self._goals,
             "late plans": self._late,
             **{f"solve {key} us": value for key, value in self._solve_times.summary().items()},
-            "solve max us": self._solve_times.maximum_ns / 1000,
         }
         planner = self._planner
         if self.rivals or planner.state is None:

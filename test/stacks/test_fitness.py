@@ -3,36 +3,23 @@
 import re
 from functools import partial
 
-import numpy as np
 import pytest
 from contact_reach_command import contact_reach
 from stack_helpers import PATIENT_PLANNER, environment, parameter_file
 
 from contact_reach_ros.bringup.processes import BringupOptions
 from contact_reach_ros.doctor import fitness
-from contact_reach_ros.timing import Histogram, write_counts
 
 
-def counters(ticks, missed, trips_us):
-    """Counters with these round trips; a tenth of each is the wake-up, half the computing."""
-    counts = {}
-    for share, name in ((1.0, "round trip counts"), (0.1, "wake-up late counts"), (0.5, "compute counts")):
-        histogram = Histogram()
-        for trip in trips_us:
-            histogram.add(round(1000 * share * trip))
-        counts[name] = write_counts(histogram.counts)
-    return {"driver": {"ticks": str(ticks), "missed ticks": str(missed), **counts}, "controller": counts}
-
-
-def test_only_what_happened_in_between_counts():
-    slow_start = [900.0] * 1000
-    later = list(np.linspace(200.0, 400.0, 4000))
-    found = fitness.timing_between(counters(1000, 500, slow_start), counters(5000, 504, slow_start + later))
+def test_ticks_in_between_count_and_the_newest_percentiles():
+    names = {"round trip": 300.0, "wake-up late": 30.0, "compute": 150.0}
+    newest = {f"{name} {key} us": str(us) for name, us in names.items() for key in ("p50", "p95", "p99", "p999")}
+    first, last = {"ticks": "1000", "missed ticks": "500"}, {"ticks": "5000", "missed ticks": "504", **newest}
+    found = fitness.timing_between({"driver": first, "controller": {}}, {"driver": last, "controller": newest})
     assert found["ticks"] == 4000
     assert found["missed_fraction"] == pytest.approx(0.001)
-    assert found["round_trip_us"] == pytest.approx({"p50": 300.0, "p99": 398.0, "p999": 400.0}, abs=5.0)
-    assert found["wakeup_late_us"] == pytest.approx({"p50": 30.0, "p99": 40.0, "p999": 40.0}, abs=5.0)
-    assert found["compute_us"] == pytest.approx({"p50": 150.0, "p99": 199.0, "p999": 200.0}, abs=5.0)
+    for key, us in {"round_trip_us": 300.0, "wakeup_late_us": 30.0, "compute_us": 150.0}.items():
+        assert found[key] == {"p50": us, "p99": us, "p999": us}
 
 
 @pytest.mark.usefixtures("signal_handlers")
