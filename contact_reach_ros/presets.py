@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from contact_reach_ros.arm import Arm
-from contact_reach_ros.arm.tool import Tool
-from contact_reach_ros.arms import EVERY_SECTION, TOOL, arm_in, known_parameters, load_arm
+from contact_reach_ros.arms import TOOL_PARAMETERS, arm_in, known_parameters, load_arm, make_settings
 from contact_reach_ros.bags.settings import RECORDER_SECTIONS
 from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS
 from contact_reach_ros.control.adapter_settings import ADAPTER_SECTIONS
@@ -30,9 +29,6 @@ from contact_reach_ros.settings import (
     ROBOT,
     Sections,
     check_node_names,
-    check_parameters_in,
-    full_name,
-    make_settings,
     parameters_in,
 )
 from contact_reach_ros.simulation.settings import DRIVER_SECTIONS, check_period
@@ -127,16 +123,16 @@ def check_parameters(file: Path, given: Given | None = None) -> None:
     arms: dict[str, Arm] = {}
     for node, sections in SECTIONS.items():
         source = f"{file}: {node}"
-        values[node] = own = {**parameters_in(file, node), **(given or {}).get(node, {})}
-        arms[node] = arm = arm_in(own, source)
-        check_parameters_in(file, node, known_parameters(sections, arm))
-        settings[node] = make_settings(own, {**EVERY_SECTION, **sections}, arm, source)
+        # Names with a colon are parameters of other nodes.
+        added = {name: value for name, value in (given or {}).get(node, {}).items() if ":" not in name}
+        values[node] = own = parameters_in(file, node) | added
+        arms[node] = arm_in(own, source)
+        settings[node] = make_settings(own, sections, arms[node], source)
     started = _NEEDED if given is None else tuple(given)
-    for name, default in {entry.name: entry.default for entry in (ROBOT, RATE)}.items():
-        _check_same(file, name, {node: values[node].get(name, default) for node in _ONE_CLOCK if node in started})
-    for entry in Tool.declared():
-        of_node = {node: getattr(settings[node][TOOL], entry.name) for node in _ONE_CLOCK if node in started}
-        _check_same(file, full_name(TOOL, entry.name), of_node)
+    known = known_parameters({}, arms["controller"])
+    for name in (ROBOT.name, RATE.name, *TOOL_PARAMETERS):
+        given_to = {node: values[node].get(name, known[name].default) for node in _ONE_CLOCK if node in started}
+        _check_same(file, name, {node: known[name].check(value, name) for node, value in given_to.items()})
     rate: Any = values["controller"].get(RATE.name, RATE.default)
     _check_together(file, settings, arms["controller"], 1.0 / rate, started)
 

@@ -10,6 +10,7 @@ import dataclasses
 import difflib
 import itertools
 import json
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -203,10 +204,16 @@ def unknown_key(key: str, known: Mapping[str, Any] | Sequence[str], source: str,
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads the files of launch, too, which tags lists as Python's tuples."""
+    """Reads the files of launch, too, which tags lists as Python's tuples, and numbers such as 1e-3, as ROS does."""
 
 
 _Loader.add_constructor("tag:yaml.org,2002:python/tuple", yaml.SafeLoader.construct_sequence)
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"[-+]?\d+[eE][-+]?\d+$"), list("-+0123456789"))
+
+
+def parse_yaml(text: str) -> Any:
+    """The value of a YAML text, in a file or on a command line; raises `yaml.YAMLError` if it is none."""
+    return yaml.load(text, _Loader)
 
 
 def read_yaml(file: Path) -> dict[str, Any]:
@@ -216,7 +223,7 @@ def read_yaml(file: Path) -> dict[str, Any]:
     file.
     """
     try:
-        content = yaml.load(file.read_text(), _Loader)
+        content = parse_yaml(file.read_text())
     except OSError as error:
         raise SettingsError(f"{file}: cannot be read ({error.strerror}); give the path of a YAML file") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -258,25 +265,6 @@ def declared_parameters(sections: Sections, arm: ArmDefaults) -> dict[str, Setti
     }
 
 
-def make_settings(values: Mapping[str, Any], sections: Sections, arm: ArmDefaults, source: str) -> dict[str, Any]:
-    """The settings objects of a node by prefix, out of values by full name; names of others are left alone.
-
-    Raises
-    ------
-    SettingsError
-        Naming `source`, if a value is not accepted, or two do not go together.
-    """
-    made: dict[str, Any] = {}
-    for prefix, settings in sections.items():
-        names = {entry.name: full_name(prefix, entry.name) for entry in settings.declared()}
-        own = {name: values[full] for name, full in names.items() if full in values}
-        try:
-            made[prefix] = settings.from_mapping(own, f"{source}.{prefix}".rstrip(".")).resolve(arm)
-        except SettingsError as error:
-            raise SettingsError(str(error) if str(error).startswith(source) else f"{source}: {error}") from error
-    return made
-
-
 def parameters_in(file: Path, node_name: str) -> dict[str, Any]:
     """Read the parameters in a file that concern a node, flattened to dotted names.
 
@@ -307,39 +295,26 @@ def check_node_names(file: Path) -> None:
             raise SettingsError(unknown_key(str(pattern), NODES, str(file), "node"))
 
 
-def sections_of_others(file: Path, node_name: str) -> list[str]:
-    """The sections of a parameter file that are not for this node."""
-    return [str(pattern) for pattern in read_yaml(file) if not _is_for(str(pattern), node_name)]
+def check_values(values: Mapping[str, Any], known: Mapping[str, Setting], source: str) -> dict[str, Value]:
+    """Check parameters of a node by full name, one by one, against the `known` ones, and return them in their types.
 
-
-def check_name(known: Mapping[str, Setting], name: str, source: str) -> None:
-    """Check that a node has a parameter, among the `known` ones and ROS's own.
+    ROS's own parameters are left to ROS.
 
     Raises
     ------
     SettingsError
-        Naming `source` and the parameter, and the nearest that there is.
+        Naming `source` and the parameter, and what is accepted, or the nearest parameter that there is.
     """
-    if name not in known and name not in _OF_ROS and not name.startswith("qos_overrides."):
-        if name.startswith(_GAINS) and not any(other.startswith(_GAINS) for other in known):
+    checked = {}
+    for name, value in values.items():
+        if name in known:
+            checked[name] = known[name].check(value, f"{source}: {name}")
+        elif name.startswith(_GAINS) and not any(other.startswith(_GAINS) for other in known):
             hint = "set it for the controller, where the planner reads it, too"
             raise SettingsError(f"{source}: unknown key '{name}'; {hint}")
-        raise SettingsError(unknown_key(name, known, source))
-
-
-def check_parameters_in(file: Path, node_name: str, known: Mapping[str, Setting]) -> None:
-    """Check the parameters in a file that concern a node, one by one, against its `known` ones.
-
-    Raises
-    ------
-    SettingsError
-        Naming file, node and parameter, and what is accepted.
-    """
-    source = f"{file}: {node_name}"
-    for name, value in parameters_in(file, node_name).items():
-        check_name(known, name, source)
-        if name in known:
-            known[name].check(value, f"{source}: {name}")
+        elif name not in _OF_ROS and not name.startswith("qos_overrides."):
+            raise SettingsError(unknown_key(name, known, source))
+    return checked
 
 
 def as_arguments(parameters: Mapping[str, Any]) -> list[str]:

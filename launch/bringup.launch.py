@@ -8,8 +8,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from contact_reach_ros.arm.urdf import build_urdf
-from contact_reach_ros.arms import load_arm, robot_in
-from contact_reach_ros.bringup.processes import BringupOptions, processes
+from contact_reach_ros.bringup.processes import BringupOptions, processes, stack_arm
 from contact_reach_ros.resources import PACKAGE, config_file
 from contact_reach_ros.ros.discovery import environment
 from launch import LaunchDescription
@@ -24,7 +23,7 @@ def start_nodes(context):
     values = {name: text if ARGUMENTS[name].kind is str else yaml.safe_load(text) for name, text in texts.items()}
     options = BringupOptions.from_mapping(values, "launch arguments")
     hears = environment(options.discovery)
-    description = build_urdf(load_arm(options.robot or robot_in(options.parameter_file)))
+    description = build_urdf(stack_arm(options))
     stack = [
         Node(
             package=PACKAGE,

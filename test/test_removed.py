@@ -10,7 +10,7 @@ from contact_reach_ros import removed
 from contact_reach_ros.arms import known_parameters, load_arm
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.presets import SECTIONS, check_parameters
-from contact_reach_ros.settings import check_name
+from contact_reach_ros.settings import check_values
 from contact_reach_ros.world.scene_file import read_scene
 
 
@@ -20,7 +20,7 @@ def test_parameters(tmp_path, node):
     for name, sentence in removed.PARAMETERS[node].items():
         expected = re.escape(f"'{name}' was removed in 0.3.0: {sentence}")
         with pytest.raises(SettingsError, match=f"^argument: {expected}$"):
-            check_name(known, name, "argument")
+            check_values({name: 1.0}, known, "argument")
     file = tmp_path / "old.yaml"
     file.write_text(yaml.safe_dump({node: {"ros__parameters": {name: 1.0}}}))
     with pytest.raises(SettingsError, match=f"^{file}: {node}: {expected}$"):

@@ -135,10 +135,10 @@ class TestPerJoint:
             PerJoint.from_mapping({"thresholds": [1.0, 0.4, 1.0]}, "file")
 
 
-def test_yaml_files_hold_mappings_and_the_lists_of_launch(tmp_path):
+def test_yaml_files_hold_mappings_numbers_as_ros_reads_them_and_the_lists_of_launch(tmp_path):
     file = tmp_path / "a.yaml"
-    file.write_text("a: 1\nb: {c: !!python/tuple [1, 2]}\n")
-    assert read_yaml(file) == {"a": 1, "b": {"c": [1, 2]}}
+    file.write_text("a: 1e-3\nb: {c: !!python/tuple [1, 2]}\n")
+    assert read_yaml(file) == {"a": 0.001, "b": {"c": [1, 2]}}
 
 
 @pytest.mark.parametrize("content", [b"", b"- 1", b"a: [1", b"a: \xff", b"a: !!python/object/apply:os.getcwd []", None])

@@ -16,10 +16,9 @@ from contact_reach_ros.settings import (
     EVERY_NODE,
     Sections,
     Setting,
+    check_values,
     declared_parameters,
     full_name,
-    make_settings,
-    parameters_in,
     read_yaml,
 )
 from contact_reach_ros.settings import ROBOT as ROBOT_PARAMETER
@@ -84,8 +83,29 @@ def known_parameters(sections: Sections, arm: Arm) -> dict[str, Setting]:
     return {entry.name: entry for entry in EVERY_NODE} | declared_parameters({**EVERY_SECTION, **sections}, arm)
 
 
+def make_settings(values: Mapping[str, Any], sections: Sections, arm: Arm, source: str) -> dict[str, Any]:
+    """The settings objects of a node by prefix, out of its parameters by full name.
+
+    Raises
+    ------
+    SettingsError
+        Naming `source` and the parameter, if the node has no such parameter, a value is not accepted, or two do not go
+        together.
+    """
+    checked = check_values(values, known_parameters(sections, arm), source)
+    made: dict[str, Any] = {}
+    for prefix, settings in sections.items():
+        names = {entry.name: full_name(prefix, entry.name) for entry in settings.declared()}
+        own: dict[str, Any] = {name: checked[full] for name, full in names.items() if full in checked}
+        try:
+            made[prefix] = settings(**own).resolve(arm)
+        except SettingsError as error:
+            raise SettingsError(f"{source}: {error}") from error
+    return made
+
+
 def arm_in(values: Mapping[str, Any], source: str) -> Arm:
-    """The arm of a node, with its tool, out of parameters by full name; names of others are left alone.
+    """The arm of a node, with its tool, out of parameters by full name; all others are left alone.
 
     Raises
     ------
@@ -96,25 +116,10 @@ def arm_in(values: Mapping[str, Any], source: str) -> Arm:
         # As nodes report an arm that the package does not have.
         arm = arm_of_table(values[ROBOT_TABLE], f"{source}: {ROBOT_TABLE}")
     else:
-        arm = checked_arm(values.get(ROBOT, DEFAULT_ARM), f"{source}: {ROBOT}")
-    return arm.with_tool(make_settings(values, EVERY_SECTION, arm, source)[TOOL])
-
-
-def checked_arm(value: Any, where: str) -> Arm:
-    """The arm that a value of the parameter `robot` stands for.
-
-    Raises
-    ------
-    SettingsError
-        Naming `where` it is, if there is no such arm, or its file is refused.
-    """
-    name = str(ROBOT_PARAMETER.check(value, where))
-    try:
-        return load_arm(name)
-    except SettingsError as error:
-        raise SettingsError(f"{where}: {error}") from error
-
-
-def robot_in(file: Path) -> str:
-    """The arm of the nodes with this parameter file, as `load_arm` takes it; raises `SettingsError` as above."""
-    return str(parameters_in(file, "planner").get(ROBOT, DEFAULT_ARM))
+        where = f"{source}: {ROBOT}"
+        try:
+            arm = load_arm(str(ROBOT_PARAMETER.check(values.get(ROBOT, DEFAULT_ARM), where)))
+        except SettingsError as error:
+            raise SettingsError(str(error) if str(error).startswith(where) else f"{where}: {error}") from error
+    tool = {name: values[name] for name in TOOL_PARAMETERS if name in values}
+    return arm.with_tool(make_settings(tool, EVERY_SECTION, arm, source)[TOOL])

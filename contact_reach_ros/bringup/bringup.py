@@ -19,9 +19,9 @@ from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
 from contact_reach_ros.ros.graph import refuse_beside_another
-from contact_reach_ros.ros.parameters import check_arguments, declare, early_value
+from contact_reach_ros.ros.parameters import check_arguments
 from contact_reach_ros.ros.process import bare_node, in_namespace
-from contact_reach_ros.settings import as_arguments, check_node_names, sections_of_others
+from contact_reach_ros.settings import NODES, as_arguments, check_node_names, parameters_in
 
 NAME = "bringup"
 
@@ -39,12 +39,10 @@ def up(namespace: str = "", **options: Any) -> int:
 def run_bringup(arguments: list[str]) -> int:
     """Run with a command line, program name first; returns the exit code."""
     try:
-        arm = check_arguments(arguments, NAME, BRINGUP_SECTIONS)
-        (wanted,) = (entry for entry in BringupOptions.declared() if entry.name == "discovery")
-        with bare_node(NAME, early_value(arguments, NAME, wanted), arguments) as node:
+        options: BringupOptions = check_arguments(arguments, NAME, BRINGUP_SECTIONS)[""]
+        _check_own_files(arguments, options)
+        with bare_node(NAME, options.discovery, arguments) as node:
             began = time.monotonic()
-            options = declare(node, BRINGUP_SECTIONS, arm)[""]
-            _check_own_files(arguments, options)
             _say_discovery(node, options.discovery)
             table = processes(options)
             refuse_beside_another(node, [process.name for process in table], began)
@@ -80,7 +78,8 @@ def _check_own_files(arguments: Sequence[str], options: BringupOptions) -> None:
         if option != "--params-file" or file.resolve() == options.parameter_file.resolve():
             continue
         check_node_names(file)
-        others = sections_of_others(file, NAME)
+        own = parameters_in(file, NAME).keys()
+        others = [node for node in NODES if parameters_in(file, node).keys() - own]
         if others:
             raise SettingsError(
                 f"{file}: bring-up does not pass on what is for {', '.join(others)}; give the nodes' file as "

@@ -10,15 +10,15 @@ from pathlib import Path
 import yaml
 
 from contact_reach_ros.arm import Arm
-from contact_reach_ros.arms import arm_in, known_parameters, load_arm
+from contact_reach_ros.arms import arm_in, known_parameters, load_arm, make_settings
 from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import budget_file
 from contact_reach_ros.presets import SECTIONS, check_parameters
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, TUNABLE, VIEWER
-from contact_reach_ros.settings import RATE, ROBOT, check_name, parameters_in
+from contact_reach_ros.settings import RATE, ROBOT, check_values, parameters_in
 from contact_reach_ros.simulation.settings import DriverSettings
-from contact_reach_ros.viewer.settings import ViewerSettings
+from contact_reach_ros.viewer.settings import VIEWER_SECTIONS, ViewerSettings
 from contact_reach_ros.world.scene_file import SceneFile, anywhere, read_scene, scene_file
 from contact_reach_ros.world.spheres import sphere_capacity
 
@@ -84,10 +84,7 @@ def _overrides(texts: Sequence[str]) -> dict[str, dict[str, ParameterValue]]:
             raise SettingsError(f"override '{text}': its value is no YAML: {error}") from error
         if not isinstance(value, (bool, int, float, str)):
             raise SettingsError(f"override '{text}': expected a number, true, false or a text")
-        known = known_parameters(SECTIONS[node], load_arm())
-        check_name(known, name, f"override '{text}'")
-        if name in known:
-            known[name].check(value, f"override '{text}': {name}")
+        check_values({name: value}, known_parameters(SECTIONS[node], load_arm()), f"override '{text}'")
         found[node][name] = value
     return found
 
@@ -151,7 +148,8 @@ def page_address(parameter_file: Path) -> str:
 
     Raises `SettingsError` if the file has a parameter of the viewer that is not accepted.
     """
-    settings = ViewerSettings.from_mapping(parameters_in(parameter_file, VIEWER), str(parameter_file))
+    own = parameters_in(parameter_file, VIEWER)
+    settings: ViewerSettings = make_settings(own, VIEWER_SECTIONS, load_arm(), f"{parameter_file}: {VIEWER}")[""]
     return settings.page_address(settings.port)
 
 

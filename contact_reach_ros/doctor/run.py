@@ -11,7 +11,7 @@ from rich.console import Console
 
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arms import arm_in, load_arm, robot_in
+from contact_reach_ros.arms import arm_in, load_arm
 from contact_reach_ros.doctor import arm as joints
 from contact_reach_ros.doctor import machine
 from contact_reach_ros.doctor.findings import (
@@ -42,7 +42,7 @@ def run_doctor(parameters: Path | None = None, discovery: str = "host", file: Pa
     console, used = Console(), parameters or config_file(DEFAULT_PARAMETERS)
     with console.status("looking at this machine and its software ..."):
         try:
-            arm = load_arm(robot_in(used))
+            arm = arm_in(parameters_in(used, "planner"), str(used))
         except SettingsError:
             # The check of the file says why.
             arm = load_arm()

@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from visualization_msgs.msg import MarkerArray
 
-from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
@@ -35,7 +35,7 @@ from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.settings import Sections, Settings
+from contact_reach_ros.settings import Settings
 from contact_reach_ros.timing import Durations
 from contact_reach_ros.world.goal import POSE, Goal
 
@@ -62,8 +62,8 @@ class PlannerNode(ManagedNode):
         settings: PlannerNodeSettings = self.settings[""]
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._budget = load_budget(settings.contact_budget).resolve(self.arm)
-        sections: Sections = {_GAINS: ImpedanceSettings, _SUPERVISION: SupervisionSettings}
-        self._controllers = settings_of(self.ARGUMENTS, CONTROLLER, sections, self.arm)
+        controllers = settings_of(self.ARGUMENTS, CONTROLLER, CONTROLLER_SECTIONS, self.arm)
+        self._controllers = {prefix: controllers[prefix] for prefix in (_GAINS, _SUPERVISION)}
         self._core: RecedingHorizonPlanner | None = None
         self._planner = Planner(
             self.arm,

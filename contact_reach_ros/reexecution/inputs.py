@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contact_reach_ros.arm import Arm, Array, JointState
-from contact_reach_ros.arms import ROBOT_DIGEST, ROBOT_TABLE, known_parameters
+from contact_reach_ros.arms import ROBOT_DIGEST, ROBOT_TABLE, known_parameters, make_settings
 from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, read_raw
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.signals import SETTINGS, recorded_arm
@@ -27,10 +27,8 @@ from contact_reach_ros.planning.settings import PLANNER_SECTIONS
 from contact_reach_ros.removed import removed_parameter
 from contact_reach_ros.settings import (
     Sections,
-    check_name,
     check_node_names,
-    check_parameters_in,
-    make_settings,
+    check_values,
     parameters_in,
 )
 from contact_reach_ros.timing import NANOSECONDS
@@ -243,14 +241,19 @@ def recorded_sections(node: str, recorded: Mapping[str, Any], arm: Arm, bag: obj
     BagError
         If a name or a value is none of this version's: the node may have worked in another way. `bag` is named.
     """
-    source, known = f"bag '{bag}', settings of the {node}", known_parameters(SECTIONS[node], arm)
     try:
-        for name in recorded:
-            if name not in _OF_BAGS and not removed_parameter(name.removeprefix(f"{BUDGET}.")):
-                check_name(known, name, source)
-        return make_settings(recorded, SECTIONS[node], arm, source)
+        return make_settings(_still_known(recorded), SECTIONS[node], arm, f"bag '{bag}', settings of the {node}")
     except SettingsError as error:
         raise BagError(f"{error}; use the version that recorded the bag") from error
+
+
+def _still_known(recorded: Mapping[str, Any]) -> dict[str, Any]:
+    """Recorded values without those that are constants now, and without what nodes report beside parameters."""
+    return {
+        name: value
+        for name, value in recorded.items()
+        if name not in _OF_BAGS and not removed_parameter(name.removeprefix(f"{BUDGET}."))
+    }
 
 
 def changed_sections(node: str, recorded: Mapping[str, Any], arm: Arm, file: Path) -> dict[str, Any]:
@@ -261,13 +264,13 @@ def changed_sections(node: str, recorded: Mapping[str, Any], arm: Arm, file: Pat
     check_node_names(file)
     changes = {}
     for each in ("controller", "observer"):
-        check_parameters_in(file, each, known_parameters(SECTIONS[each], arm))
         changes[each] = parameters_in(file, each)
+        check_values(changes[each], known_parameters(SECTIONS[each], arm), f"{file}: {each}")
     if not any(changes.values()):
         raise SettingsError(f"{file}: has nothing for controller or observer; expected '<node>: ros__parameters: ...'")
     # The controller watches itself with the observer's settings.
     own = changes[node] | changes["observer"]
-    made = make_settings({**recorded, **own}, SECTIONS[node], arm, f"{file}: {node}")
+    made = make_settings({**_still_known(recorded), **own}, SECTIONS[node], arm, f"{file}: {node}")
     if "contact_budget" in own:
         made[BUDGET] = load_budget(own["contact_budget"]).resolve(arm)
     return made

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
@@ -15,18 +14,9 @@ from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
 
 from contact_reach_ros.arm import Arm
-from contact_reach_ros.arms import checked_arm, known_parameters
+from contact_reach_ros.arms import arm_in, known_parameters, make_settings
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.settings import (
-    ROBOT,
-    Sections,
-    Setting,
-    check_name,
-    check_parameters_in,
-    full_name,
-    make_settings,
-    parameters_in,
-)
+from contact_reach_ros.settings import Sections, Setting, check_values, declared_parameters, parameters_in, parse_yaml
 
 
 def declare(node: Node, sections: Sections, arm: Arm, changeable: Collection[str] = ()) -> dict[str, Any]:
@@ -45,15 +35,9 @@ def declare(node: Node, sections: Sections, arm: Arm, changeable: Collection[str
     changeable
         Names of the parameters that can be set later; all others are read-only.
     """
-    made: dict[str, Any] = {}
-    for prefix, settings_class in sections.items():
-        values = {}
-        for declared in settings_class.declared():
-            entry = declared.for_arm(arm)
-            name = full_name(prefix, entry.name)
-            values[entry.name] = _declare(node, name, entry, name not in changeable)
-        made[prefix] = settings_class.from_mapping(values, f"parameters of {node.get_name()}, {prefix or 'node'}")
-    return made
+    entries = declared_parameters(sections, arm).items()
+    values = {name: _declare(node, name, entry, name not in changeable) for name, entry in entries}
+    return make_settings(values, sections, arm, f"parameters of {node.get_name()}")
 
 
 def _declare(node: Node, name: str, entry: Setting, read_only: bool) -> Any:
@@ -76,8 +60,8 @@ def _declare(node: Node, name: str, entry: Setting, read_only: bool) -> Any:
         raise SettingsError(f"parameter {name} of {node.get_name()}: expected {entry.accepts}; {error}") from error
 
 
-def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections) -> Arm:
-    """Check the parameter files and overrides on a command line against the settings of a node; returns its arm.
+def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections) -> dict[str, Any]:
+    """Check the parameter files and overrides on a command line; returns the node's settings objects by prefix.
 
     ROS itself ignores an unknown key or argument; here the node does not start.
 
@@ -86,19 +70,15 @@ def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections
     SettingsError
         Naming file and key, or the argument, and what is accepted.
     """
-    arm = checked_arm(early_value(arguments, node_name, ROBOT), f"parameter {ROBOT.name} of {node_name}")
-    known = known_parameters(sections, arm)
-    for option, value in itertools.pairwise(arguments):
-        if option == "--params-file":
-            check_parameters_in(Path(value), node_name, known)
-        elif option in ("-p", "--param"):
-            owner, _, key = value.partition(":=")[0].rpartition(":")
-            if owner in ("", node_name):
-                check_name(known, key, f"argument {option} {value}")
     foreign = without_ros_arguments(arguments)[1:]
     if foreign:
         raise SettingsError(f"{' '.join(foreign)}: unknown arguments; expected --ros-args -p NAME:=VALUE, see --help")
-    return arm
+    given = list(_given(arguments, node_name, ["", node_name]))
+    merged, where = _merged(given), f"parameters of {node_name}"
+    arm = arm_in(merged, where)
+    for source, values in given:
+        check_values(values, known_parameters(sections, arm), source)
+    return make_settings(merged, sections, arm, where)
 
 
 def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
@@ -112,29 +92,26 @@ def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
 def settings_of(arguments: Sequence[str], node_name: str, sections: Sections, arm: Arm) -> dict[str, Any]:
     """Settings objects of another node, by prefix, as far as this process's command line has its parameters.
 
-    Raises `SettingsError` if a value is not accepted; keys that the node does not have are its own affair.
+    Raises `SettingsError` if the node has no such parameter, or a value is not accepted.
     """
-    return make_settings(_given(arguments, node_name), sections, arm, f"parameters of {node_name}")
+    values = _merged(_given(arguments, node_name, [node_name]))
+    return make_settings(values, sections, arm, f"parameters of {node_name}")
 
 
-def early_value(arguments: Sequence[str], node_name: str, entry: Setting) -> Any:
-    """Value of one parameter of a node, without a prefix, from its own command line: before ROS starts.
-
-    Raises `SettingsError` if the value is not accepted.
-    """
-    value = _given(arguments, node_name, "").get(entry.name, entry.default)
-    return entry.check(value, f"parameter {entry.name} of {node_name}")
+_Given = tuple[str, dict[str, Any]]
 
 
-def _given(arguments: Sequence[str], node_name: str, *more_owners: str) -> dict[str, Any]:
-    """Parameters of a node on a command line, by name; of overrides those for the node, and `more_owners`."""
-    values: dict[str, Any] = {}
+def _given(arguments: Sequence[str], node_name: str, owners: Collection[str]) -> Iterator[_Given]:
+    """Parameters of a node on a command line by name, with where they are; of overrides those for the owners."""
     for option, argument in itertools.pairwise(arguments):
         if option == "--params-file":
-            values |= parameters_in(Path(argument), node_name)
+            yield f"{argument}: {node_name}", parameters_in(Path(argument), node_name)
         elif option in ("-p", "--param"):
             target, _, text = argument.partition(":=")
             owner, _, name = target.rpartition(":")
-            if owner in (node_name, *more_owners):
-                values[name] = yaml.safe_load(text)
-    return values
+            if owner in owners:
+                yield f"argument {option} {argument}", {name: parse_yaml(text)}
+
+
+def _merged(given: Iterable[_Given]) -> dict[str, Any]:
+    return {name: value for _, values in given for name, value in values.items()}

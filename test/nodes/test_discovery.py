@@ -4,10 +4,10 @@ import pytest
 from contact_reach_command import python
 from stack_helpers import environment
 
-from contact_reach_ros.bringup.processes import BringupOptions
+from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.ros import discovery
-from contact_reach_ros.ros.parameters import early_value
+from contact_reach_ros.ros.parameters import check_arguments
 
 TALK = """
 import contextlib, os, socket, sys
@@ -61,12 +61,10 @@ def test_nothing_is_set_over_the_choice_of_the_user_and_an_unknown_choice_is_ref
     assert discovery.reach({discovery.PROFILES[1]: "mine.xml"})[0] == ""
 
 
-(ENTRY,) = (entry for entry in BringupOptions.declared() if entry.name == "discovery")
-
-
 @pytest.mark.parametrize(
     ("argument", "value"),
     [("discovery:=subnet", "subnet"), ("bringup:discovery:=subnet", "subnet"), ("other:discovery:=subnet", "host")],
 )
 def test_bringup_knows_the_choice_before_ros_starts(argument, value):
-    assert early_value(["bringup", "--ros-args", "-p", argument], "bringup", ENTRY) == value
+    options = check_arguments(["bringup", "--ros-args", "-p", argument], "bringup", BRINGUP_SECTIONS)[""]
+    assert options.discovery == value

@@ -5,7 +5,7 @@ from stack_helpers import parameter_file
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bringup.processes import BringupOptions, processes
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.world.scene_file import read_scene
@@ -85,7 +85,7 @@ def test_the_planner_plans_for_gains_that_are_changed():
     table = given(overrides=(f"{name}=90.0",))
     assert table["controller"]["impedance.task_damping"] == 90.0
     arguments = ["planner", "-p", f"{name}:={table['planner'][name]}"]
-    read = settings_of(arguments, "controller", {"impedance": ImpedanceSettings}, load_arm())
+    read = settings_of(arguments, "controller", CONTROLLER_SECTIONS, load_arm())
     assert read["impedance"].task_damping == 90.0
 
 

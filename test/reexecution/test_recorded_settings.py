@@ -59,7 +59,8 @@ class TestRecorded:
 class TestChanged:
     def change(self, node: str, file: Path, **nodes: dict[str, Any]) -> dict[str, Any]:
         file.write_text(yaml.safe_dump({name: {"ros__parameters": content} for name, content in nodes.items()}))
-        return changed_sections(node, {"limits.torque_share": 0.5, "momentum.gain": 30.0}, ARM, file)
+        recorded = {"limits.torque_share": 0.5} if node == "controller" else {}
+        return changed_sections(node, {**recorded, "momentum.gain": 30.0}, ARM, file)
 
     def test_only_what_the_file_names_changes(self, tmp_path: Path) -> None:
         """The controller watches itself with the observer's settings."""
