@@ -219,16 +219,7 @@ def _later(place: str) -> Callable[..., int | None]:
     return lambda **options: getattr(import_module(f"{PACKAGE}.{module}"), name)(**options)  # type: ignore[no-any-return]
 
 
-def _check(parameters: Path | None) -> None:
-    """Check the parameter file, if one is given, before anything that takes seconds."""
-    if parameters:
-        from contact_reach_ros.presets import check_parameters
-
-        check_parameters(parameters)
-
-
 def _demo(**options: Any) -> int:
-    _check(options.get("parameters") and Path(options["parameters"]))
     from contact_reach_ros.bringup.demo import DemoOptions, run_demo
 
     return run_demo(DemoOptions(**options))
@@ -253,7 +244,6 @@ def _identify(discovery: str = "host", namespace: str = "", **options: Any) -> i
 
 
 def _view(parameters: Path | None = None, namespace: str = "", **chosen: Any) -> int:
-    _check(parameters)
     from contact_reach_ros.nodes.viewer import view
 
     return view(chosen, parameters, namespace)

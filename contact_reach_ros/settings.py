@@ -124,24 +124,9 @@ class Setting:
         return kind(value)
 
 
-def setting(
-    default: Any,
-    description: str,
-    *,
-    unit: str = "",
-    minimum: float | None = None,
-    maximum: float | None = None,
-    choices: Sequence[str] = (),
-    optional_length: int | None = None,
-    per_joint: bool = False,
-) -> Any:
-    """Declare one value of a `Settings` class.
-
-    A list of numbers that may be missing has an `optional_length`; a list with one number per joint of the arm is
-    `per_joint`, with a default of None that stands for `Arm.default`.
-    """
-    entry = Setting("", default, description, unit, minimum, maximum, tuple(choices), optional_length, per_joint)
-    return dataclasses.field(default=default, metadata={_DECLARATION: entry})
+def setting(default: Any, description: str, **declared: Any) -> Any:
+    """Declare one value of a `Settings` class; what else can be `declared` are the fields of `Setting`."""
+    return dataclasses.field(default=default, metadata={_DECLARATION: Setting("", default, description, **declared)})
 
 
 @dataclasses.dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 
-@runtime_checkable
 class Robot(Protocol):
     """A robot, simulated or real, that the stack steps."""
 
@@ -173,9 +172,12 @@ class Stack:
             self.controller.watch_with(Observer(self.arm, observer, budget, own_period, locates=False))
         if isinstance(planner, Planner):
             self.planner = planner
+        elif planner is not None:
+            planner.reset()
+            unexpected_contact = unexpected_contact or UnexpectedContactSettings()
+            task = self.controller.settings.impedance.task
+            self.planner = Planner(self.arm, planner, replanning, unexpected_contact, task=task)
         else:
-            if planner is not None:
-                planner.reset()
             self.planner = make_planner(
                 self.arm,
                 sphere_capacity(scene),
@@ -184,7 +186,6 @@ class Stack:
                 controller=self.controller.settings,
                 budget=budget,
                 unexpected_contact=unexpected_contact,
-                core=planner,
             )
         basis = getattr(self.planner.core, "basis", {})
         gains, supervision = self.controller.settings.impedance, self.controller.settings.supervision
@@ -438,7 +439,6 @@ def make_planner(
     budget: ContactBudget | None = None,
     unexpected_contact: UnexpectedContactSettings | None = None,
     solver: Callable[[CostFunction, int, PlanningSettings], Solver] | None = None,
-    core: PlanningCore | None = None,
 ) -> Planner:
     """Assemble a planner that makes plans by the package's own method.
 
@@ -454,18 +454,15 @@ def make_planner(
         Settings of the controller that follows the plans.
     solver
         Makes the solver from a cost, the number of its variables and the settings; None for Algorithm 1.
-    core
-        Makes the plans instead of the package's own method.
     """
+    # JAX takes a while to import.
+    from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
+    from contact_reach_ros.planning.solver.hybrid import HybridSolver
+
     planning = planning or PlanningSettings()
     controller = controller or ControllerSettings()
     gains = controller.impedance
-    if core is None:
-        # JAX takes a while to import.
-        from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
-        from contact_reach_ros.planning.solver.hybrid import HybridSolver
-
-        force, reach = (budget or ContactBudget()).permitted_force, controller.supervision.max_position_error
-        core = RecedingHorizonPlanner(arm, planning, gains, force, capacity, reach, solver or HybridSolver)
+    force, reach = (budget or ContactBudget()).permitted_force, controller.supervision.max_position_error
+    core = RecedingHorizonPlanner(arm, planning, gains, force, capacity, reach, solver or HybridSolver)
     unexpected_contact = unexpected_contact or UnexpectedContactSettings()
     return Planner(arm, core, replanning or ReplanningSettings(), unexpected_contact, task=gains.task)

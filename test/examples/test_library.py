@@ -49,7 +49,7 @@ def test_planner_controller_and_observer_of_the_user_are_used(scene):
     observer = cr.Observer(ARM, cr.ObserverSettings(), cr.ContactBudget())
     stack = cr.Stack(scene, controller=controller, observer=observer, planner=StayingCore())
     assert (stack.controller, stack.observer) == (controller, observer)
-    planner = cr.make_planner(ARM, 1, core=StayingCore())
+    planner = cr.Planner(ARM, StayingCore(), cr.ReplanningSettings(), cr.UnexpectedContactSettings())
     assert cr.Stack(scene, planner=planner).planner is planner
     with pytest.raises(cr.ContactReachError, match="planner is a Planner with settings of its own"):
         cr.Stack(scene, planner=planner, planning=cr.PlanningSettings())

@@ -8,8 +8,10 @@ from plans import StayingCore
 
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.plan import Request
+from contact_reach_ros.planning.planner import Planner
+from contact_reach_ros.planning.settings import ReplanningSettings, UnexpectedContactSettings
 from contact_reach_ros.scenes.generate import load_scene
-from contact_reach_ros.stack import Stack, make_planner
+from contact_reach_ros.stack import Stack
 from contact_reach_ros.world.goal import Goal, Target
 from contact_reach_ros.world.spheres import Spheres
 
@@ -40,7 +42,7 @@ def test_the_speed_changes_on_the_way(planner):
 
 
 def test_a_core_that_cannot_slow_down_makes_no_plan():
-    whole = make_planner(ARM, 0, core=StayingCore())
+    whole = Planner(ARM, StayingCore(), ReplanningSettings(), UnexpectedContactSettings())
     with pytest.raises(PlanningError, match=r"speed_scale = 1: expected 0\.5"):
         whole.solve(REQUEST._replace(speed_scale=0.5))
     assert whole.plan is None
