@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -84,17 +83,14 @@ def preset(name: str, arm: Arm | None = None) -> Preset:
         raise SettingsError(f"preset '{name}' is unknown; expected one of {', '.join(PRESETS)}")
     file, arm = config_file(PRESETS[name]), arm or load_arm()
 
-    def settings(node: str, sections: Any) -> dict[str, Any]:
-        return make_settings(parameters_in(file, node), sections, arm, str(file))
-
-    planner, controller = settings("planner", PLANNER_SECTIONS), settings("controller", CONTROLLER_SECTIONS)
-    names = [field.name for field in dataclasses.fields(ReplanningSettings)]
+    planner, controller = (
+        make_settings(parameters_in(file, node), SECTIONS[node], arm, f"{file}: {node}")
+        for node in ("planner", "controller")
+    )
     return Preset(
         planning=planner["planning"],
-        replanning=ReplanningSettings(**{name: getattr(planner[""], name) for name in names}),
-        controller=ControllerSettings(
-            **{field.name: controller[field.name] for field in dataclasses.fields(ControllerSettings)}
-        ),
+        replanning=planner[""],
+        controller=ControllerSettings(*(controller[prefix] for prefix in ("impedance", "limits", "supervision"))),
         unexpected_contact=planner["unexpected_contact"],
     )
 

@@ -1,6 +1,5 @@
 """The stack for `ros2 launch contact_reach_ros bringup.launch.py`, from the same table as the bringup executable."""
 
-import yaml
 from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.events import Shutdown
@@ -11,6 +10,7 @@ from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.bringup.processes import BringupOptions, processes, stack_arm
 from contact_reach_ros.resources import PACKAGE, config_file
 from contact_reach_ros.ros.discovery import environment
+from contact_reach_ros.settings import parse_yaml
 from launch import LaunchDescription
 
 ARGUMENTS = {entry.name: entry for entry in BringupOptions.declared() if not entry.is_open_list}
@@ -20,7 +20,7 @@ RVIZ = LaunchConfiguration("rviz")
 def start_nodes(context):
     """Turn the chosen arguments into nodes; the end of any node but the viewers ends them all."""
     texts = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    values = {name: text if ARGUMENTS[name].kind is str else yaml.safe_load(text) for name, text in texts.items()}
+    values = {name: text if ARGUMENTS[name].kind is str else parse_yaml(text) for name, text in texts.items()}
     options = BringupOptions.from_mapping(values, "launch arguments")
     hears = environment(options.discovery)
     description = build_urdf(stack_arm(options))

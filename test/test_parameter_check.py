@@ -8,6 +8,7 @@ from arm_simulation import ARM
 
 import contact_reach_ros as cr
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.planning.settings import PlannerNodeSettings
 from contact_reach_ros.presets import PRESETS, SECTIONS, check_parameters, preset
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import NODES, parameters_in
@@ -96,7 +97,7 @@ def test_nodes_take_the_file_of_every_preset(name):
 def test_shipped_is_what_the_nodes_run():
     shipped = preset("shipped")
     assert shipped.planning == cr.PlanningSettings().resolve(ARM)
-    assert shipped.replanning == cr.ReplanningSettings()
+    assert shipped.replanning == PlannerNodeSettings()
     assert shipped.unexpected_contact == cr.UnexpectedContactSettings()
 
 

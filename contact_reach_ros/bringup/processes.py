@@ -16,7 +16,7 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import budget_file
 from contact_reach_ros.presets import SECTIONS, check_parameters
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, TUNABLE, VIEWER
-from contact_reach_ros.settings import RATE, ROBOT, check_values, parameters_in
+from contact_reach_ros.settings import RATE, ROBOT, check_values, parameters_in, parse_yaml
 from contact_reach_ros.simulation.settings import DriverSettings
 from contact_reach_ros.viewer.settings import VIEWER_SECTIONS, ViewerSettings
 from contact_reach_ros.world.scene_file import SceneFile, anywhere, read_scene, scene_file
@@ -64,7 +64,7 @@ class Process:
         return f"{ENCLAVES}/{self.name}"
 
 
-def _overrides(texts: Sequence[str]) -> dict[str, dict[str, ParameterValue]]:
+def _overrides(texts: Sequence[str], arm: Arm) -> dict[str, dict[str, ParameterValue]]:
     """Parameters by node, from texts node:parameter=value, the value as YAML.
 
     Raises `SettingsError` if a text has another form, the node is not one of `TUNABLE`, has no such parameter, or does
@@ -79,12 +79,10 @@ def _overrides(texts: Sequence[str]) -> dict[str, dict[str, ParameterValue]]:
                 f"override '{text}': expected node:parameter=value with one of {', '.join(TUNABLE)} as the node"
             )
         try:
-            value = yaml.safe_load(written)
+            value = parse_yaml(written)
         except yaml.YAMLError as error:
             raise SettingsError(f"override '{text}': its value is no YAML: {error}") from error
-        if not isinstance(value, (bool, int, float, str)):
-            raise SettingsError(f"override '{text}': expected a number, true, false or a text")
-        check_values({name: value}, known_parameters(SECTIONS[node], load_arm()), f"override '{text}'")
+        check_values({name: value}, known_parameters(SECTIONS[node], arm), f"override '{text}'")
         found[node][name] = value
     return found
 
@@ -99,7 +97,7 @@ def processes(options: BringupOptions) -> list[Process]:
     arm: dict[str, ParameterValue] = {ROBOT.name: options.robot} if options.robot else {}
     rate: dict[str, ParameterValue] = {RATE.name: options.state_rate} if options.state_rate else {}
     time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep, **rate, **arm}
-    changed = _overrides(options.overrides)
+    changed = _overrides(options.overrides, stack_arm(options))
     table = []
     if options.view:
         table.append(Process(VIEWER, time, wave=Wave.EARLY, essential=False))

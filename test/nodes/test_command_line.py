@@ -56,7 +56,7 @@ def check(node, *arguments):
 @pytest.mark.parametrize(
     ("node", "content", "key"),
     [
-        *((name, {"no_such_thing": 1}, "no_such_thing") for name in SECTIONS if name != "bringup"),
+        ("viewer", {"no_such_thing": 1}, "no_such_thing"),
         ("controller", {"impedance": {"task_stiffness": -1.0}}, "impedance.task_stiffness"),
         ("observer", {"momentum": {"gain": "high"}}, "momentum.gain"),
         ("driver", {"seed": 1.5}, "seed"),

@@ -67,7 +67,9 @@ def test_in_lockstep_time_waits_for_the_recorder_too(tmp_path, own, waited_for):
 
 
 def test_overrides_reach_their_node_only(tmp_path):
-    table = given(overrides=("planner:period=0.05", "driver:seed=7"), bag=str(tmp_path / "bag"))
+    overrides = ("planner:period=5e-2", "driver:seed=7", "observer:momentum.torque_offset=[1, 1, 1, 1, 1, 1, 1]")
+    table = given(overrides=overrides, bag=str(tmp_path / "bag"))
+    assert table["observer"]["momentum.torque_offset"] == [1] * 7
     assert table["planner"]["period"] == 0.05 and table["driver"]["seed"] == 7 and "seed" not in table["controller"]
     assert "seed=7" in table["recorder"]["custom_data"]
 
