@@ -139,9 +139,9 @@ class Durations:
 
     def summary(self) -> dict[str, float]:
         """Percentiles, µs, by their names in diagnostics and reports; NaN without durations."""
-        # Another thread may add to them meanwhile.
-        newest = self._ns[: self._count]
-        if not newest.size:
+        # Another thread may add to them meanwhile. The first call of np.percentile would hold it up for milliseconds.
+        ordered = np.sort(self._ns[: self._count])
+        if not ordered.size:
             return dict.fromkeys(PERCENTILES, math.nan)
-        values = np.percentile(newest, [*PERCENTILES.values()]) / 1000.0
-        return dict(zip(PERCENTILES, values.tolist(), strict=True))
+        last = ordered.size - 1
+        return {name: float(ordered[round(percent / 100.0 * last)]) / 1000.0 for name, percent in PERCENTILES.items()}
