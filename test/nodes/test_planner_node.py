@@ -10,7 +10,7 @@ from geometry_msgs.msg import Transform, TransformStamped, Vector3
 from plans import make_plan
 from rclpy.serialization import deserialize_message, serialize_message
 from stack_helpers import Published, hand_in, ros, wait_for
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.arm import rotation_about
 from contact_reach_ros.arm.model import RobotModel
@@ -24,7 +24,6 @@ from contact_reach_ros.messages.conversions import (
     to_time,
 )
 from contact_reach_ros.messages.obstacle_markers import obstacle_markers
-from contact_reach_ros.messages.plan_reader import read_path
 from contact_reach_ros.messages.safety_state import WARN
 from contact_reach_ros.messages.serialized import joint_state_writer
 from contact_reach_ros.messages.values import quaternion, vector
@@ -182,13 +181,11 @@ def test_only_a_node_that_commands_the_arm_and_hears_both_halves_of_a_plan_count
 
 
 def test_a_withdrawn_plan_is_no_longer_shown(planner):
-    planner._output._path = Published()
+    planner._output._marker_publisher = Published()
     planner._planner.plan = PLAN
-    planner._output.publish(PLAN)
     planner._withdraw("a stop")
-    path, nothing = planner._output._path.messages
-    np.testing.assert_array_equal(read_path(path), PLAN.predicted_positions)
-    assert read_path(nothing) is None and nothing.header.frame_id == ARM.base_frame
+    (nothing,) = planner._output._marker_publisher.messages
+    assert [marker.action for marker in nothing.markers] == [Marker.DELETEALL]
 
 
 CAMERA, SEEN_NS = "camera", 997 * TICK_NS
