@@ -47,6 +47,8 @@ class Setting:
     """Length of a list of numbers that may be missing, which a default of None declares."""
     per_joint: bool = False
     """Whether it is a list with one number per joint of the arm; a default of None stands for the arm's own."""
+    changeable: bool = False
+    """Whether it may be set while the node runs."""
 
     @property
     def kind(self) -> type:
@@ -133,14 +135,15 @@ def setting(
     choices: Sequence[str] = (),
     optional_length: int | None = None,
     per_joint: bool = False,
+    changeable: bool = False,
 ) -> Any:
     """Declare one value of a `Settings` class.
 
     A list of numbers that may be missing has an `optional_length`; a list with one number per joint of the arm is
     `per_joint`, with a default of None that stands for `Arm.default`.
     """
-    entry = Setting("", default, description, unit, minimum, maximum, tuple(choices), optional_length, per_joint)
-    return dataclasses.field(default=default, metadata={_DECLARATION: entry})
+    accepted = (unit, minimum, maximum, tuple(choices), optional_length, per_joint, changeable)
+    return dataclasses.field(default=default, metadata={_DECLARATION: Setting("", default, description, *accepted)})
 
 
 @dataclasses.dataclass(frozen=True)
