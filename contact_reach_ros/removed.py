@@ -17,6 +17,8 @@ _NOT_TUNED = "leave it out; it is fixed at "
 PARAMETERS: Mapping[str, Mapping[str, str]] = {
     "driver": {
         "faults": _FAULTS,
+        "lockstep": "set use_sim_time: true instead",
+        "waits_for": "leave it out: in simulated time the driver waits for every node that promises",
         "sensors.position_noise": _NOT_TUNED + "1e-5 rad, and mismatch.noise_scale of a scene multiplies it",
         "sensors.position_resolution": _NOT_TUNED + "1e-5 rad",
         "sensors.velocity_noise": _NOT_TUNED + "1e-3 rad/s, and mismatch.noise_scale of a scene multiplies it",

@@ -48,6 +48,8 @@ class Setting:
     """Length of a list of numbers that may be missing, which a default of None declares."""
     per_joint: bool = False
     """Whether it is a list with one number per joint of the arm; a default of None stands for the arm's own."""
+    changeable: bool = False
+    """Whether it may be set while the node runs."""
 
     @property
     def kind(self) -> type:

@@ -90,7 +90,7 @@ class Result(NamedTuple):
 class Stack:
     """Observer, planner and controller with a robot, stepped together in simulated time.
 
-    With the scene as the only argument, everything is set up as in the nodes in lockstep.
+    With the scene as the only argument, everything is set up as in the nodes in simulated time.
 
     Attributes
     ----------

@@ -102,17 +102,12 @@ def processes(options: BringupOptions) -> list[Process]:
     if options.view:
         table.append(Process(VIEWER, time, wave=Wave.EARLY, essential=False))
     if options.bag:
-        recording = {"bag": options.bag, "use_sim_time": options.lockstep, **_origin(options, changed["driver"]), **arm}
+        recording = {"bag": options.bag, **_origin(options, changed["driver"]), **time}
         table.append(Process(RECORDER, recording, wave=Wave.EARLY))
     adapted = options.adapter != "none"
-    simulation: dict[str, ParameterValue] = {"scene": options.scene, "lockstep": options.lockstep, **rate, **arm}
-    if options.lockstep:
-        own = parameters_in(options.parameter_file, "driver").get("waits_for", "")
-        others = [own, RECORDER if options.bag else "", ADAPTER if adapted else ""]
-        simulation["waits_for"] = ",".join(filter(None, others))
     if options.driver:
         wave = Wave.LAST if options.lockstep else Wave.LOOPS
-        table.append(Process("driver", {**simulation, **changed["driver"]}, wave))
+        table.append(Process("driver", {"scene": options.scene, **time, **changed["driver"]}, wave))
     elif changed["driver"]:
         raise SettingsError(f"overrides of the driver, {', '.join(changed['driver'])}: this node is not started here")
     if adapted:

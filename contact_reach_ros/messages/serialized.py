@@ -54,12 +54,11 @@ def decode(data: bytes, message_type: type, topic: str) -> Any:
 
     Raises `InputError` if the bytes are no message of that type; the topic is named.
     """
-    from rclpy.impl.implementation_singleton import rclpy_implementation
     from rclpy.serialization import deserialize_message
 
     try:
         return deserialize_message(data, message_type)
-    except rclpy_implementation.RMWError as error:
+    except RuntimeError as error:
         raise no_message(data, message_type.__name__, topic, error) from error
 
 

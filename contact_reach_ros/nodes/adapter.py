@@ -79,11 +79,6 @@ class AdapterNode(StoppableNode):
         """Bring the arm to rest first: nobody would stop it afterwards."""
         self.inbox.call(self._come_to_rest)
 
-    def close(self) -> None:
-        """Bring the arm to rest."""
-        if self.running:
-            self._come_to_rest()
-
     @property
     def stop_reason(self) -> str:
         """Why no command is passed on; empty if they are."""
@@ -133,7 +128,7 @@ class AdapterNode(StoppableNode):
     def _make_target(self, chosen: AdapterSettings) -> EffortTarget | LbrTarget | FrankaTarget:
         settings: Any = self.settings[chosen.kind]
         if chosen.kind == LBR:
-            return LbrTarget(self, self.arm, settings, self.period, bool(self.get_parameter("use_sim_time").value))
+            return LbrTarget(self, self.arm, settings, self.period, self.lockstep)
         if chosen.kind == FRANKA:
             return FrankaTarget(self, self.arm, settings)
         return EffortTarget(self, self.arm, settings, chosen.gravity_compensation)

@@ -22,20 +22,18 @@ from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
 from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
 from contact_reach_ros.messages.serialized import JointStateReader, command_writer
 from contact_reach_ros.messages.values import read_settings
-from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.observer.budget import BUDGET, load_budget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS, ObserverSettings
 from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, OBSERVER
 from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.settings import Settings, full_name
 from contact_reach_ros.timing import Durations
 
 _PLANNER = "planner"
-_BUDGET = "budget"
-_OWN_FILE = "contact_budget"
-"""Setting of the observer that may differ: the same budget may lie in two files."""
+_OF_THE_OBSERVER = tuple(f"{prefix}." for prefix in (*OBSERVER_SECTIONS, BUDGET) if prefix)
+"""Settings that have to be the observer's; not `contact_budget`, as the same budget may lie in two files."""
 
 
 class ControllerNode(StoppableNode):
@@ -48,8 +46,11 @@ class ControllerNode(StoppableNode):
 
     def __init__(self) -> None:
         super().__init__()
-        self._watch = self._watch_settings()
         supervision: SupervisionSettings = self.settings["supervision"]
+        self._watches = supervision.has_own_watch
+        if self._watches:
+            self.settings |= settings_of(self.ARGUMENTS, OBSERVER, OBSERVER_SECTIONS, self.arm)
+            self.settings[BUDGET] = load_budget(self.settings[""].contact_budget).resolve(self.arm)
         adapted = [topics.ADAPTER_COMMANDS] if supervision.adapter else []
         commands = topics.SHADOW_COMMANDS if supervision.shadow else next(iter(adapted), topics.COMMANDS)
         self._write_commands = self.make_writer(commands)
@@ -63,8 +64,6 @@ class ControllerNode(StoppableNode):
         self.follow(topics.JOINT_STATES, self._on_state, after=after)
         self._intake = self.log_intake(topics.CONTROLLER_INTAKE)
         self.inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
-        self._others: dict[str, Mapping[str, Any]] = {}
-        """Settings that planner and observer have reported."""
         self._disagreement = ""
         """What the planner plans with and this controller has not."""
         self._other_watch = ""
@@ -72,7 +71,7 @@ class ControllerNode(StoppableNode):
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._writer = command_writer(self.arm.n)
         self._controller = self._make_controller()
-        if self._watch:
+        if self._watches:
             self._controller.watch_with(self._make_watcher())
         self._controller.not_yet = "still looking for other publishers"
         self._compute = Durations()
@@ -82,12 +81,8 @@ class ControllerNode(StoppableNode):
     def configure(self) -> None:
         """Warm up all computations."""
         self._make_controller().rehearse()
-        if self._watch:
+        if self._watches:
             self._make_watcher().rehearse()
-
-    def files(self) -> Mapping[str, Settings]:
-        """The observer's settings, with which the controller watches itself; empty if it does not."""
-        return self._watch
 
     def activate(self) -> None:
         """Start from the next joint state."""
@@ -136,17 +131,9 @@ class ControllerNode(StoppableNode):
         settings = ControllerSettings(self.settings["impedance"], self.settings["limits"], self.settings["supervision"])
         return Controller(self.arm, settings, self.period)
 
-    def _watch_settings(self) -> Mapping[str, Settings]:
-        """Settings and budget of the observer by prefix; none if the controller does not watch itself."""
-        if not self.settings["supervision"].has_own_watch:
-            return {}
-        sections = settings_of(self.ARGUMENTS, OBSERVER, OBSERVER_SECTIONS, self.arm)
-        return {**sections, _BUDGET: load_budget(sections[""].contact_budget).resolve(self.arm)}
-
     def _make_watcher(self) -> Observer:
-        settings = ObserverSettings.from_sections(self._watch)
-        budget: Any = self._watch[_BUDGET]
-        return Observer(self.arm, settings, budget, self._controller.watch_period, locates=False)
+        settings = ObserverSettings.from_sections(self.settings)
+        return Observer(self.arm, settings, self.settings[BUDGET], self._controller.watch_period, locates=False)
 
     def look_around(self) -> None:
         """Look for rivals, and for an observer whose settings differ: beside either the arm does not start."""
@@ -175,21 +162,12 @@ class ControllerNode(StoppableNode):
             self._publish_safety()
 
     def _on_settings(self, message: DiagnosticStatus) -> None:
-        if message.name in (_PLANNER, OBSERVER):
-            self._others[message.name] = read_settings(message)
-            self._compare()
-
-    def _compare(self) -> None:
         own = self.reported_settings()
-        self._disagreement = disagreement(own, self._others.get(_PLANNER, {}))
-        if self._watch:
-            names = [
-                full_name(prefix, entry.name)
-                for prefix, settings in self._watch.items()
-                for entry in settings.declared()
-                if entry.name != _OWN_FILE
-            ]
-            differs = differences(own, self._others.get(OBSERVER, {}), OBSERVER, names)
+        if message.name == _PLANNER:
+            self._disagreement = disagreement(own, read_settings(message))
+        elif message.name == OBSERVER and self._watches:
+            names = [name for name in own if name.startswith(_OF_THE_OBSERVER)]
+            differs = differences(own, read_settings(message), OBSERVER, names)
             hint = "start both with the same parameter file, or with supervision.watch_itself: false"
             self._other_watch = f"observer and controller disagree: {differs}; {hint}" if differs else ""
 

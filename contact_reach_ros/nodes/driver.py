@@ -55,12 +55,10 @@ class DriverNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__()
         chosen: DriverSettings = self.settings[""]
-        # This node provides the clock, and does not use one.
-        self.lockstep = chosen.lockstep
         self._period_ns = round(self.period * NANOSECONDS)
-        waits_for = [name.strip() for name in chosen.waits_for.split(",") if name.strip()]
+        participants = lambda: self.count_publishers(topics.LOCKSTEP_HORIZON.name)  # noqa: E731
         is_ending = lambda: self._stop.is_set() or not self.running  # noqa: E731
-        self._lockstep = LockstepDriver(self._period_ns, waits_for, self.inbox.wait, is_ending)
+        self._lockstep = LockstepDriver(self._period_ns, participants, self.inbox.wait, is_ending)
         self._waits_for_goal = chosen.waits_for_goal
         self._waits_for_command = self._was_commanded = False
         """Whether no command has come since the last joint state, and whether any has ever come."""

@@ -12,12 +12,11 @@ from contact_reach_ros.messages.conversions import to_safety_state
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.safety_state import MONITORING, findings
 from contact_reach_ros.messages.serialized import JointStateReader, joint_state_writer, wrench_writer
-from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.observer.budget import BUDGET, load_budget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS, ObserverSettings, SourceSettings
 from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.settings import Settings
 
 _WRENCH_EVERY = 10
 
@@ -38,7 +37,7 @@ class ObserverNode(StoppableNode):
         self._intake = self.log_intake(topics.OBSERVER_INTAKE)
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         source: SourceSettings = self.settings[""]
-        self._budget = load_budget(source.contact_budget).resolve(self.arm)
+        self.settings[BUDGET] = load_budget(source.contact_budget).resolve(self.arm)
         self._observer = self._make_observer()
         self._torque_writer = joint_state_writer(self.arm.joint_names, self.arm.base_frame, ["effort"])
         self._wrench_writer = wrench_writer(self.arm.base_frame)
@@ -48,10 +47,6 @@ class ObserverNode(StoppableNode):
     def configure(self) -> None:
         """Warm up all computations."""
         self._make_observer().rehearse()
-
-    def files(self) -> Mapping[str, Settings]:
-        """The contact budget."""
-        return {"budget": self._budget}
 
     @property
     def stop_reason(self) -> str:
@@ -90,7 +85,7 @@ class ObserverNode(StoppableNode):
         return observer.monitor.stop_reason or self.rivals, values
 
     def _make_observer(self) -> Observer:
-        return Observer(self.arm, ObserverSettings.from_sections(self.settings), self._budget, self.period)
+        return Observer(self.arm, ObserverSettings.from_sections(self.settings), self.settings[BUDGET], self.period)
 
     def _on_state(self, data: bytes) -> None:
         report = self._observer.update(self._reader.read(data))

@@ -5,6 +5,7 @@ The loop thread is the worker that solves; the executor meanwhile serves service
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import time
 from collections.abc import Mapping
@@ -13,29 +14,30 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
-from contact_reach_ros.errors import ContactReachError, FrameError, InputError
+from contact_reach_ros.errors import ContactReachError, FrameError, InputError, SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.safety_state import is_stopped, read_contact
 from contact_reach_ros.messages.serialized import JointStateReader, decode
 from contact_reach_ros.messages.values import goal_values, nanoseconds, quaternion, vector
 from contact_reach_ros.nodes.planner_output import PlannerOutput
-from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.observer.budget import BUDGET, load_budget
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.planner import Planner
 from contact_reach_ros.planning.receding_horizon import Memory, RecedingHorizonPlanner
-from contact_reach_ros.planning.settings import PLANNER_SECTIONS, SPEED_SCALE, PlannerNodeSettings
+from contact_reach_ros.planning.settings import PLANNER_SECTIONS, PlannerNodeSettings
 from contact_reach_ros.ros.frames import Frames
 from contact_reach_ros.ros.graph import commanders_that_hear
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.settings import Settings
 from contact_reach_ros.timing import Durations
 from contact_reach_ros.world.goal import POSE, Goal
 
@@ -50,7 +52,8 @@ class PlannerNode(ManagedNode):
 
     NAME = "planner"
     SECTIONS = PLANNER_SECTIONS
-    CHANGEABLE = (SPEED_SCALE,)
+    _core: RecedingHorizonPlanner
+    """Made by `configure`."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -61,17 +64,16 @@ class PlannerNode(ManagedNode):
         self.follow(topics.JOINT_STATES, self._on_state, hurried=False)
         settings: PlannerNodeSettings = self.settings[""]
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
-        self._budget = load_budget(settings.contact_budget).resolve(self.arm)
+        self.settings[BUDGET] = load_budget(settings.contact_budget).resolve(self.arm)
         controllers = settings_of(self.ARGUMENTS, CONTROLLER, CONTROLLER_SECTIONS, self.arm)
-        self._controllers = {prefix: controllers[prefix] for prefix in (_GAINS, _SUPERVISION)}
-        self._core: RecedingHorizonPlanner | None = None
+        self.settings |= {prefix: controllers[prefix] for prefix in (_GAINS, _SUPERVISION)}
         self._planner = Planner(
             self.arm,
             None,
             settings,
             self.settings["unexpected_contact"],
             self.refuse,
-            self._controllers[_GAINS].task,
+            self.settings[_GAINS].task,
         )
         self._output = PlannerOutput(self)
         self._obstacle_reader = ObstacleMarkerReader(self.arm.base_frame, settings)
@@ -85,31 +87,35 @@ class PlannerNode(ManagedNode):
         self._solve_times = Durations()
         # Nothing is planned from what two arms report in turns.
         self.exclude([topics.JOINT_STATES, topics.SAFETY_STATE])
+        self.add_on_set_parameters_callback(self._on_speed)
 
     def configure(self) -> None:
         """Compile the solver."""
-        core = RecedingHorizonPlanner(
+        self._planner.core = self._core = RecedingHorizonPlanner(
             self.arm,
             self.settings["planning"],
-            self._controllers[_GAINS],
-            self._budget.permitted_force,
+            self.settings[_GAINS],
+            self.settings[BUDGET].permitted_force,
             self.settings[""].max_spheres,
-            self._controllers[_SUPERVISION].max_position_error,
+            self.settings[_SUPERVISION].max_position_error,
         )
-        core.warm_up(lambda line: self.get_logger().info(line))
-        self._planner.core = self._core = core
+        self._core.warm_up(lambda line: self.get_logger().info(line))
 
-    def on_change(self) -> None:
-        """Use another speed from the next plan on."""
-        self._planner.speed_scale = self.settings[""].speed_scale
+    def _on_speed(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Use another `speed_scale` from the next plan on: all other parameters are read-only."""
+        try:
+            chosen = dataclasses.replace(self.settings[""], **{one.name: one.value for one in parameters})
+        except SettingsError as error:
+            self.refuse("parameters", error)
+            return SetParametersResult(successful=False, reason=str(error))
+        self.settings[""], self._planner.speed_scale = chosen, chosen.speed_scale
+        if self.running:
+            self.publish_settings()
+        return SetParametersResult(successful=True)
 
     def activate(self) -> None:
         """Wait for a goal."""
         self._withdraw("the planner was activated")
-
-    def files(self) -> Mapping[str, Settings]:
-        """The contact budget, and the controller's settings that plans depend on."""
-        return {"budget": self._budget, **self._controllers}
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Goals, solve times, obstacles, and what the planner waits for; `plan/statistics` has the plans."""
@@ -147,7 +153,7 @@ class PlannerNode(ManagedNode):
 
     def _make_plan(self, request: Request) -> None:
         began_ns, now_ns = time.monotonic_ns(), self.now_ns
-        memory = None if self._core is None else self._core.memory
+        memory = self._core.memory
         plan = self._planner.solve(request)
         self._output.publish(plan)
         took_ns = time.monotonic_ns() - began_ns
@@ -157,7 +163,7 @@ class PlannerNode(ManagedNode):
         self._planner.took(passed_ns)
         self._late += passed_ns > request.effect_ns - request.state_ns
         self._output.show(plan)
-        found = None if self._core is None else self._core.memory
+        found = self._core.memory
         if found is not None:
             self._report_detour(found)
             values = {

@@ -72,10 +72,6 @@ class RecorderNode(ManagedNode):
         self._next_discovery = self._next_flush = time.monotonic()
         self.get_logger().info(f"recording to {directory}")
 
-    def deactivate(self) -> None:
-        """Complete the bag."""
-        self.close()
-
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Messages written and lost."""
         if self._ended_early:
@@ -113,7 +109,7 @@ class RecorderNode(ManagedNode):
                 self.get_logger().error(f"the recording ends here: {self._ended_early}")
                 self._complete()
 
-    def close(self) -> None:
+    def deactivate(self) -> None:
         """Write what is still in transit and complete the bag; raises `BagError` if writing fails."""
         with self._lock:
             self._complete()

@@ -88,9 +88,10 @@ class ViewerNode(ManagedNode):
         self.inbox.poll()
         call(self._server, lambda: self._page.turn(time.monotonic()))
 
-    def close(self) -> None:
-        """Shut the server down."""
+    def destroy_node(self) -> None:
+        """Shut the server down as well."""
         self._server.stop()
+        super().destroy_node()
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Number of browsers."""

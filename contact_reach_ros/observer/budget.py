@@ -8,6 +8,9 @@ from pathlib import Path
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import Settings, read_yaml, setting
 
+BUDGET = "budget"
+"""Prefix of the contact budget among the settings that nodes report: it comes from a file of its own."""
+
 MAX_THRESHOLD = 320.0
 """Greatest threshold of a joint, Nm."""
 

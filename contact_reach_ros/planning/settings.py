@@ -126,7 +126,7 @@ class ReplanningSettings(Settings):
     period: float = setting(0.03, "least time between plans", unit="s", minimum=0.005, maximum=1.0)
     latency: float = setting(
         0.04,
-        "least time from a state to the effect of its plan; in lockstep exactly this time",
+        "least time from a state to the effect of its plan; in simulated time exactly this time",
         unit="s",
         minimum=0.001,
         maximum=0.5,
@@ -136,6 +136,7 @@ class ReplanningSettings(Settings):
         "share of γ that plans use, and so of the speed; may be changed while the node runs",
         minimum=0.01,
         maximum=1.0,
+        changeable=True,
     )
     max_obstacle_age: float = setting(
         0.5,

@@ -21,7 +21,7 @@ from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.messages.intake import COLUMNS, TOPICS, Taken
 from contact_reach_ros.messages.safety_state import read_reason
 from contact_reach_ros.messages.values import checked_stamp, read_settings
-from contact_reach_ros.observer.budget import ContactBudget, load_budget
+from contact_reach_ros.observer.budget import BUDGET, ContactBudget, load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
 from contact_reach_ros.planning.settings import PLANNER_SECTIONS
 from contact_reach_ros.removed import removed_parameter
@@ -39,9 +39,6 @@ ADAPTER_COMMANDS = "adapter/commands"
 SHADOW_COMMANDS = "shadow/commands"
 EXTERNAL_TORQUE = "external_torque"
 OBSTACLES = "obstacles"
-
-BUDGET = "budget"
-"""Prefix of the contact budget, which comes from a file of its own."""
 
 SECTIONS: Mapping[str, Sections] = {
     "controller": {**CONTROLLER_SECTIONS, **OBSERVER_SECTIONS, BUDGET: ContactBudget},

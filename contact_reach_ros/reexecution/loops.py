@@ -20,11 +20,11 @@ from contact_reach_ros.errors import BagError, InputError, requested
 from contact_reach_ros.messages.intake import TOPICS, Taken
 from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
 from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
+from contact_reach_ros.observer.budget import BUDGET
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.reexecution.inputs import (
     ADAPTER_COMMANDS,
-    BUDGET,
     COMMANDS,
     EXTERNAL_TORQUE,
     SHADOW_COMMANDS,

@@ -18,11 +18,12 @@ from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
 from contact_reach_ros.messages.plan_request import Parts, read_memory, read_request
 from contact_reach_ros.messages.values import nanoseconds, split_array
+from contact_reach_ros.observer.budget import BUDGET
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.solver.solver import FloatArray, Solution
 from contact_reach_ros.planning.terms import Problem
-from contact_reach_ros.reexecution.inputs import BUDGET, OBSTACLES, RecordedInputs
+from contact_reach_ros.reexecution.inputs import OBSTACLES, RecordedInputs
 from contact_reach_ros.world.spheres import Spheres
 
 TOLERANCES = {"cost": 1e-4, "positions": 1e-5, "rotations": 1e-4, "postures": 1e-4}

@@ -38,11 +38,7 @@ class Boundary:
         Text of the last refusal, likewise.
     """
 
-    def __init__(
-        self,
-        report: Callable[[str], None] = lambda text: None,
-        on_fault: Callable[[str, Exception], None] = lambda what, error: None,
-    ) -> None:
+    def __init__(self, report: Callable[[str], None], on_fault: Callable[[str, Exception], None]) -> None:
         """`report` gets the traceback of each new fault; `on_fault` what led to it, in the thread where it happened."""
         self.refused: dict[str, int] = {}
         self.reasons: dict[str, str] = {}

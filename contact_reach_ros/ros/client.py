@@ -28,7 +28,7 @@ from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.interfaces import OPERATOR, STOPPABLE
-from contact_reach_ros.ros.process import bare_node
+from contact_reach_ros.ros.process import bare_node, in_namespace
 
 PLANNER, CONTROLLER = "planner", "controller"
 
@@ -347,7 +347,7 @@ class StackClient(Client):
 @contextmanager
 def connect(discovery: str = "host", namespace: str = "") -> Iterator[StackClient]:
     """A client of the stack that is found within `discovery`, in a namespace; raises as `StackClient.find`."""
-    with bare_node(OPERATOR, discovery, namespace=namespace) as node:
+    with bare_node(OPERATOR, discovery, [OPERATOR, *in_namespace(namespace)]) as node:
         client = StackClient(node)
         try:
             client.find()

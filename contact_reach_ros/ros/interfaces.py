@@ -90,7 +90,7 @@ _TORQUES = [topics.COMMANDS, topics.ADAPTER_COMMANDS, topics.SHADOW_COMMANDS]
 _EXTERNAL = [topics.EXTERNAL_TORQUE, topics.EXTERNAL_WRENCH]
 _REPORTS = [topics.SAFETY_STATE, topics.DIAGNOSTICS]
 _PACE = [topics.JOINT_STATES, topics.LOCKSTEP_HORIZON]
-"""Heard by nodes that follow the joint states; in lockstep they promise on the second as well."""
+"""Heard by nodes that follow the joint states; in simulated time they promise on the second as well."""
 
 HEARD_BY_VIEWER = (
     topics.JOINT_STATES,

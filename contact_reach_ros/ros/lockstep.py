@@ -5,8 +5,8 @@ with a `lockstep/horizon` message, the node's name and the time up to which it h
 from the state are out. So each node has everything that others made of a state, and nothing of the next one: a run
 depends neither on how busy the machine is nor on which of two messages is faster.
 
-Other nodes may take part, such as the recorder, which must not fall behind: the driver's parameter `waits_for` names
-those whose promises it waits for as well, and the nodes wait for everybody who has ever promised.
+Other nodes may take part, such as the recorder, which must not fall behind. Time begins when everybody who publishes on
+`lockstep/horizon` has promised, and driver and nodes wait for all who have ever promised.
 
 In real time nobody promises or waits.
 """
@@ -96,8 +96,8 @@ class LockstepDriver:
     ----------
     tick_ns
         Time from one joint state to the next, ns.
-    waits_for
-        Nodes that take part besides observer, planner and controller.
+    participants
+        How many nodes publish on `lockstep/horizon`.
     handle
         Handles messages until one has come or for so many ns, as `Inbox.wait`.
     ended
@@ -109,7 +109,7 @@ class LockstepDriver:
     def __init__(
         self,
         tick_ns: int,
-        waits_for: Sequence[str],
+        participants: Callable[[], int],
         handle: Callable[[int], None],
         ended: Callable[[], bool],
         clock: Callable[[], int] = time.monotonic_ns,
@@ -118,7 +118,8 @@ class LockstepDriver:
         self._handle = handle
         self._ended = ended
         self._clock = clock
-        self._horizons = dict.fromkeys((*_ALWAYS, *waits_for), 0)
+        self._participants = participants
+        self._horizons = dict.fromkeys(_ALWAYS, 0)
         self._due_ns = 0
 
     def expect(self, stamp_ns: int) -> None:
@@ -127,8 +128,7 @@ class LockstepDriver:
 
     def hear(self, message: Header) -> None:
         """Take a promise."""
-        if message.frame_id in self._horizons:
-            self._horizons[message.frame_id] = nanoseconds(message.stamp)
+        self._horizons[message.frame_id] = nanoseconds(message.stamp)
 
     @property
     def silent(self) -> list[str]:
@@ -163,11 +163,14 @@ class LockstepDriver:
             Publishes the state again, called every 20 ms: nodes that start late have not received it.
         """
         repeated_ns, left = self._clock(), _REPETITIONS
-        while (self.silent or (left > 0 and not moves())) and not self._ended():
+        while not self._ended():
+            are_all_done = not self.silent and len(self._horizons) >= self._participants()
+            if are_all_done and (left == 0 or moves()):
+                return
             self._handle(_REPEAT_NS)
             if self._clock() - repeated_ns > _REPEAT_NS:
                 repeated_ns = self._clock()
-                left -= not self.silent
+                left -= are_all_done
                 repeat()
 
     def stand_still(self, is_wanted: Callable[[], bool]) -> None:

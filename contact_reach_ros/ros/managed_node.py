@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import threading
 import time
@@ -12,10 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from contact_reach_ros.arms import EVERY_SECTION, ROBOT_DIGEST, TOOL, arm_settings, load_arm
@@ -37,12 +35,13 @@ from contact_reach_ros.ros.boundary import TRANSITIONS, Boundary
 from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.lockstep import Lockstep
-from contact_reach_ros.ros.parameters import declare
+from contact_reach_ros.ros.parameters import declare, declare_one
 from contact_reach_ros.ros.scheduling import Role
-from contact_reach_ros.settings import AUTOSTART, CPUS, RATE, ROBOT, Sections, Settings, full_name
+from contact_reach_ros.settings import AUTOSTART, CPUS, RATE, ROBOT, Sections, full_name
 from contact_reach_ros.timing import NANOSECONDS
 
 _IDLE_NS = 100_000_000
+_SIMULATED = "use_sim_time"
 
 
 class ManagedNode(LifecycleNode):
@@ -57,7 +56,7 @@ class ManagedNode(LifecycleNode):
     period
         Nominal time between joint states, s.
     settings
-        The settings objects by parameter prefix.
+        The settings objects by parameter prefix, and those from other files that the node adds; published together.
     running
         Whether the node is active.
     lockstep
@@ -72,21 +71,20 @@ class ManagedNode(LifecycleNode):
 
     NAME: ClassVar[str]
     SECTIONS: ClassVar[Sections]
-    CHANGEABLE: ClassVar[Sequence[str]] = ()
-    """Parameters without a prefix that may be changed while the node runs, see `on_change`."""
     ARGUMENTS: ClassVar[Sequence[str]] = ()
     """The command line of the process, which `run` sets."""
 
     def __init__(self) -> None:
         super().__init__(self.NAME)
-        self.autostart = bool(self.declare_parameter(AUTOSTART.name, AUTOSTART.default).value)
-        self.cpus = str(self.declare_parameter(CPUS.name, CPUS.default).value)
-        self.lockstep = bool(self.get_parameter("use_sim_time").value)
+        self.autostart, self.cpus, robot, rate = (
+            declare_one(self, entry.name, entry) for entry in (AUTOSTART, CPUS, ROBOT, RATE)
+        )
+        self.lockstep = bool(self.get_parameter(_SIMULATED).value)
+        self.set_descriptor(_SIMULATED, ParameterDescriptor(read_only=True, dynamic_typing=True))
         self._simulated_ns = 0
-        self._bare_arm = load_arm(str(self.declare_parameter(ROBOT.name, ROBOT.default).value))
-        rate: Any = RATE.check(self.declare_parameter(RATE.name, RATE.default).value, f"{RATE.name} of {self.NAME}")
+        self._bare_arm = load_arm(robot)
         self.period = 1.0 / rate
-        self.settings = declare(self, {**EVERY_SECTION, **self.SECTIONS}, self._bare_arm, self.CHANGEABLE)
+        self.settings = declare(self, {**EVERY_SECTION, **self.SECTIONS}, self._bare_arm)
         self.arm = self._bare_arm.with_tool(self.settings[TOOL])
         self.boundary = Boundary(self.say, self.on_fault)
         self.refuse, self.refused = self.boundary.refuse, self.boundary.refused
@@ -100,34 +98,30 @@ class ManagedNode(LifecycleNode):
         self._lines: deque[str] = deque()
         self._said = self.create_guard_condition(self.write_out)
         self.every(1.0, self._publish_diagnostics)
-        self.add_on_set_parameters_callback(self._on_parameters)
 
     def turn(self) -> None:
         """One turn of the loop while the node is active; waits for what it needs, at most 0.1 s."""
         self.inbox.wait(_IDLE_NS)
 
-    def close(self) -> None:
-        """Finish what `on_deactivate` would, where the process ends while the node is active."""
-
     def on_fault(self, what: str, error: Exception) -> None:
         """React to an internal error in handling `what`; in the thread where it happened."""
-
-    def files(self) -> Mapping[str, Settings]:
-        """Settings read from other files, by prefix; published on `settings` with the parameters."""
-        return {}
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """A summary (empty when all is well) and values for the diagnostics topic."""
         return "", {}
 
     def loop(self) -> None:
-        """Take turns until `request_stop`; while the node is inactive its messages are dropped."""
-        while not self._stop.is_set():
+        """Take turns until `request_stop`, then `deactivate`; while the node is inactive its messages are dropped."""
+        try:
+            while not self._stop.is_set():
+                if self.running:
+                    self.turn()
+                else:
+                    self.inbox.run_tasks()
+                    self._stop.wait(0.02)
+        finally:
             if self.running:
-                self.turn()
-            else:
-                self.inbox.run_tasks()
-                self._stop.wait(0.02)
+                self.deactivate()
 
     def request_stop(self) -> None:
         """End the loop."""
@@ -250,9 +244,6 @@ class ManagedNode(LifecycleNode):
         self._lines.append(line)
         self._said.trigger()
 
-    def on_change(self) -> None:
-        """Take the values of settings that were changed, from `settings`; in the executor's thread."""
-
     def configure(self) -> None:
         """Prepare what must be ready before the first message; may raise."""
 
@@ -260,7 +251,7 @@ class ManagedNode(LifecycleNode):
         """Reset what the loop's work starts from; may raise."""
 
     def deactivate(self) -> None:
-        """End the loop's work; the node is still active. May raise."""
+        """End the loop's work, also where the process ends; the node is still active. May raise."""
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run `configure`."""
@@ -270,7 +261,7 @@ class ManagedNode(LifecycleNode):
         """Run `activate`, publish the settings, and start the loop's work."""
         result = self._attempt(self.activate, super().on_activate, state)
         if result == TransitionCallbackReturn.SUCCESS:
-            self._publish_settings()
+            self.publish_settings()
             # The loop does not look at its inbox yet.
             self.inbox.note(Taken.ACTIVATE)
             self.running = True
@@ -313,39 +304,21 @@ class ManagedNode(LifecycleNode):
             is_refusal = isinstance(error, ContactReachError)
             return TransitionCallbackReturn.FAILURE if is_refusal else TransitionCallbackReturn.ERROR
 
-    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        fixed = ", ".join(parameter.name for parameter in parameters if parameter.name not in self.CHANGEABLE)
-        try:
-            if fixed:
-                raise InputError(f"{fixed}: parameters are set at the start; restart the node with other values")
-            entries = {entry.name: entry for entry in self.settings[""].declared()}
-            values = {one.name: entries[one.name].check(one.value, f"{one.name} of {self.NAME}") for one in parameters}
-            self.settings = {**self.settings, "": dataclasses.replace(self.settings[""], **values)}
-            self.on_change()
-        except ContactReachError as error:
-            self.refuse("parameters", error)
-            return SetParametersResult(successful=False, reason=str(error))
-        if self.running:
-            self._publish_settings()
-        return SetParametersResult(successful=True)
-
     def _log_refusals(self) -> None:
         for line in self.boundary.last_refusals():
             self.get_logger().warning(line)
 
     def reported_settings(self) -> dict[str, Any]:
         """The settings in force by their full names, as the node reports them."""
-        settings = {**self.settings, **self.files()}
         values = {
             full_name(prefix, entry.name): getattr(values, entry.name)
-            for prefix, values in settings.items()
+            for prefix, values in self.settings.items()
             for entry in values.declared()
         }
-        values["use_sim_time"] = self.get_parameter("use_sim_time").value
-        values |= {**arm_settings(self._bare_arm), ROBOT_DIGEST: self.arm.digest, RATE.name: 1.0 / self.period}
-        return values
+        own = {_SIMULATED: self.lockstep, ROBOT_DIGEST: self.arm.digest, RATE.name: 1.0 / self.period}
+        return {**values, **arm_settings(self._bare_arm), **own}
 
-    def _publish_settings(self) -> None:
+    def publish_settings(self) -> None:
         """Publish the settings in force, each value as JSON; bags record them."""
         self._settings_publisher.publish(
             DiagnosticStatus(

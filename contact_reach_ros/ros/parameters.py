@@ -19,7 +19,7 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Sections, Setting, check_values, declared_parameters, parameters_in, parse_yaml
 
 
-def declare(node: Node, sections: Sections, arm: Arm, changeable: Collection[str] = ()) -> dict[str, Any]:
+def declare(node: Node, sections: Sections, arm: Arm) -> dict[str, Any]:
     """Declare all settings as parameters and return them, one settings object by prefix.
 
     Raises `SettingsError` if a parameter has a value that is not accepted.
@@ -32,21 +32,23 @@ def declare(node: Node, sections: Sections, arm: Arm, changeable: Collection[str
         Settings by prefix.
     arm
         Gives settings with a value for each joint their length and default.
-    changeable
-        Names of the parameters that can be set later; all others are read-only.
     """
     entries = declared_parameters(sections, arm).items()
-    values = {name: _declare(node, name, entry, name not in changeable) for name, entry in entries}
+    values = {name: declare_one(node, name, entry) for name, entry in entries}
     return make_settings(values, sections, arm, f"parameters of {node.get_name()}")
 
 
-def _declare(node: Node, name: str, entry: Setting, read_only: bool) -> Any:
+def declare_one(node: Node, name: str, entry: Setting) -> Any:
+    """Declare a setting as a parameter with this full name, and return its value.
+
+    Raises `SettingsError` if the value is not accepted.
+    """
     unit = f" [{entry.unit}]" if entry.unit else ""
     descriptor = ParameterDescriptor(
         description=f"{entry.description}{unit}",
         additional_constraints=entry.accepts,
-        read_only=read_only,
-        # A whole number is accepted for a float; the settings class checks and converts it.
+        read_only=not entry.changeable,
+        # A whole number is accepted for a float; `check` converts it.
         dynamic_typing=entry.kind is float,
     )
     try:
@@ -55,9 +57,10 @@ def _declare(node: Node, name: str, entry: Setting, read_only: bool) -> Any:
             value = node.declare_parameter(name, Parameter.Type.STRING_ARRAY, descriptor).value
             return [text for text in value or [] if text]
         default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
-        return node.declare_parameter(name, default, descriptor).value
+        value = node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         raise SettingsError(f"parameter {name} of {node.get_name()}: expected {entry.accepts}; {error}") from error
+    return entry.check(value, f"parameter {name} of {node.get_name()}")
 
 
 def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections) -> dict[str, Any]:

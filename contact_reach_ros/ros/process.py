@@ -74,7 +74,7 @@ def in_namespace(namespace: str) -> list[str]:
 
 
 @contextlib.contextmanager
-def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = (), namespace: str = "") -> Iterator[Node]:
+def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = ()) -> Iterator[Node]:
     """A node without a lifecycle, for a tool or a supervisor; ROS ends with it.
 
     Raises `ContactReachError` if ROS does not start it.
@@ -87,10 +87,8 @@ def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = (),
         How far it can be heard, as for `initialise`.
     arguments
         Command line, program name first; ROS gets only the node's name when empty.
-    namespace
-        Of the node, unless the arguments have one.
     """
-    initialise(arguments or [name, *in_namespace(namespace)], discovery)
+    initialise(arguments or [name], discovery)
     try:
         try:
             # Nobody changes its parameters, and requests that are malformed cannot end it.
@@ -160,7 +158,6 @@ def _serve(node: ManagedNode) -> int:
             thread.join()
         if node.inbox.intake is not None:
             node.inbox.intake.flush()
-        node.close()
         node.write_out()
     if failures:
         node.get_logger().fatal(f"the node ended with {type(failures[0]).__name__}: {failures[0]}")

@@ -77,11 +77,7 @@ class DriverSettings(Settings):
     scene: str = setting("ball", "scene: a name or the path of a YAML file")
     seed: int = setting(0, "seed of the scene and the sensor noise", minimum=0, maximum=2**31 - 1)
     target: str = setting("", "flange position that the scene is built for, 'x y z' in m; drawn when empty")
-    lockstep: bool = setting(False, "advance only when controller, observer and planner are done with the last tick")
-    waits_for: str = setting(
-        "", "nodes besides these whose promises simulated time waits for in lockstep, separated by commas"
-    )
-    waits_for_goal: bool = setting(False, "in lockstep, stand still with open brakes until the planner has had a goal")
+    waits_for_goal: bool = setting(False, "in simulated time, wait with open brakes until the planner has had a goal")
 
 
 DRIVER_SECTIONS: Sections = {

@@ -207,7 +207,7 @@ def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pyt
         assert "not recording: 1 MB are free" in node.diagnosis()[0]
         # The stack goes on.
         node.turn()
-        node.close()
+        node.trigger_deactivate()
         node.destroy_node()
     finally:
         rclpy.shutdown()

@@ -24,6 +24,7 @@ from contact_reach_ros.nodes.adapter import AdapterNode
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.observer import ObserverNode
+from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.ros.boundary import INTERNAL
 
 
@@ -113,13 +114,22 @@ def test_a_message_that_would_take_long_to_read_is_refused_unread(controller):
     assert not node._controller.stop_reason
 
 
-@pytest.mark.parametrize("node_class", [AdapterNode, ControllerNode, DriverNode, ObserverNode])
-def test_a_node_keeps_the_tool_that_it_was_started_with(node_class):
+@pytest.mark.parametrize("node_class", [AdapterNode, ControllerNode, DriverNode, ObserverNode, PlannerNode])
+def test_a_node_keeps_the_parameters_that_it_was_started_with(node_class):
+    values = {"tool.mass": 1.0, "use_sim_time": True, "cpus": "all", "state_rate": 500.0}
     with ros():
         node = node_class()
-        (result,) = node.set_parameters([Parameter("tool.mass", value=1.0)])
-        assert not result.successful and "read-only" in result.reason
-        assert node.get_parameter("tool.mass").value == 0.0
+        results = node.set_parameters([Parameter(name, value=value) for name, value in values.items()])
+        assert all(not result.successful and "read-only" in result.reason for result in results)
+        assert all(node.get_parameter(name).value != value for name, value in values.items())
+
+
+def test_the_speed_of_a_planner_may_be_changed_within_its_bounds():
+    with ros():
+        node = PlannerNode()
+        wrong, right = node.set_parameters([Parameter("speed_scale", value=value) for value in (2, 0.5)])
+    assert not wrong.successful and "speed_scale = 2: expected a number in [0.01, 1]" in wrong.reason
+    assert right.successful and node.reported_settings()["speed_scale"] == node._planner.speed_scale == 0.5
 
 
 def test_a_reset_before_any_joint_state_is_refused_with_the_reason():

@@ -105,12 +105,12 @@ _WAIT_NS = 10_000_000
 SIMULATED = "use_sim_time:=true"
 CONTROLLER_HEARS = (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON)
 NODES = {
-    ControllerNode: ([SIMULATED, UNWATCHED], (topics.JOINT_STATES, *CONTROLLER_HEARS, topics.CLOCK)),
-    DriverNode: (["lockstep:=true", "scene:=free"], (topics.COMMANDS, topics.LOCKSTEP_HORIZON)),
+    ControllerNode: ([SIMULATED, UNWATCHED], (topics.JOINT_STATES, *CONTROLLER_HEARS)),
+    DriverNode: (["use_sim_time:=true", "scene:=free"], (topics.COMMANDS, topics.LOCKSTEP_HORIZON)),
     ObserverNode: ([SIMULATED], (topics.JOINT_STATES, topics.CLOCK)),
     PlannerNode: (
         [SIMULATED],
-        (topics.JOINT_STATES, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE, topics.CLOCK),
+        (topics.JOINT_STATES, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE),
     ),
     ViewerNode: (["port:=0"], HEARD_BY_VIEWER),
     AdapterNode: (["kind:=effort"], (topics.JOINT_STATES, topics.ADAPTER_COMMANDS, topics.SETTINGS)),
@@ -216,7 +216,8 @@ def bench(request, tmp_path, monkeypatch):
             if heard in attacked:
                 made.send(heard, recorded()[heard.name])
         yield made
-        made.node.close()
+        made.node.deactivate()
+        made.node.destroy_node()
 
 
 def test_absurd_messages_are_refused(bench):

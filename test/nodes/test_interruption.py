@@ -1,4 +1,4 @@
-"""A signal is noted, and ends nothing before it is asked for."""
+"""How processes of nodes run and end: priority, and signals, which end nothing before it is asked for."""
 
 import os
 import signal
@@ -50,9 +50,14 @@ def test_a_node_that_is_still_starting_ends_well(number, seconds):
     assert process.returncode == -number and not printed
 
 
-def test_a_second_ctrl_c_changes_nothing(tmp_path):
-    with running(executable("observer"), environment(), tmp_path / "output.txt") as process:
-        wait_for(lambda: "active" in (tmp_path / "output.txt").read_text(), 60, "observer up")
+def test_a_loop_has_the_priority_that_the_system_permits_and_a_second_ctrl_c_changes_nothing(tmp_path):
+    def policies() -> set[int]:
+        return {os.sched_getscheduler(int(thread)) for thread in os.listdir(f"/proc/{process.pid}/task")}
+
+    output = tmp_path / "output.txt"
+    with running(executable("observer"), environment(), output) as process:
+        wait_for(lambda: "active" in output.read_text(), 60, "observer up")
+        wait_for(lambda: os.SCHED_FIFO in policies() or "no real-time priority" in output.read_text(), 10, "priority")
         for _ in range(40):
             process.send_signal(signal.SIGINT)
             time.sleep(0.02)

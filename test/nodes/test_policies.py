@@ -22,7 +22,7 @@ CLASSES = (DriverNode, ControllerNode, ObserverNode, PlannerNode, AdapterNode, R
 NODES = {node_class.NAME: node_class for node_class in CLASSES}
 MODES = (
     (),
-    ("use_sim_time:=true", "lockstep:=true", "supervision.shadow:=true"),
+    ("use_sim_time:=true", "supervision.shadow:=true"),
     ("supervision.adapter:=true",),
 )
 FOLDER = share_directory() / "config" / "security"

@@ -56,14 +56,11 @@ def test_with_an_adapter_the_controller_commands_it_and_it_ends_after_the_contro
     assert "adapter" not in without and "supervision.adapter" not in without["controller"]
 
 
-@pytest.mark.parametrize(("own", "waited_for"), [({}, "recorder"), ({"waits_for": "gripper"}, "gripper,recorder")])
-def test_in_lockstep_time_waits_for_the_recorder_too(tmp_path, own, waited_for):
-    file = str(parameter_file(tmp_path / "own.yaml", driver=own))
-    for lockstep in (True, False):
-        table = given(lockstep=lockstep, bag=str(tmp_path / "bag"), parameters=file)
-        assert table["recorder"]["use_sim_time"] is lockstep
-        assert table["driver"].get("waits_for") == (waited_for if lockstep else None)
-        assert table["planner"].get("planning.deadline") == (0.0 if lockstep else None)
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_in_lockstep_every_node_has_simulated_time_and_plans_have_no_deadline(lockstep):
+    table = given(lockstep=lockstep, bag="bag", view=True, adapter="effort")
+    assert all(parameters["use_sim_time"] is lockstep for parameters in table.values())
+    assert table["planner"].get("planning.deadline") == (0.0 if lockstep else None)
 
 
 def test_overrides_reach_their_node_only(tmp_path):

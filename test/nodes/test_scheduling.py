@@ -4,7 +4,6 @@ import os
 import threading
 
 import pytest
-from stack_helpers import environment, module, ready, running, wait_for
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.ros.scheduling import Role, choose_cpus, give_way
@@ -49,13 +48,3 @@ def test_what_gives_way_comes_behind_every_loop(priority, left):
         pytest.skip("no real-time priority permitted")
     assert found == [(os.SCHED_FIFO, left)]
     assert left < min(Role.DRIVER.value, Role.CONTROLLER.value, Role.OBSERVER.value)
-
-
-def test_in_real_time_a_loop_has_the_priority_that_the_system_permits(tmp_path):
-    def policies() -> set[int]:
-        return {os.sched_getscheduler(int(thread)) for thread in os.listdir(f"/proc/{process.pid}/task")}
-
-    output = tmp_path / "observer.txt"
-    with running(module("nodes.observer"), environment(), output) as process:
-        ready(process, output, "active")
-        wait_for(lambda: os.SCHED_FIFO in policies() or "no real-time priority" in output.read_text(), 10, "priority")

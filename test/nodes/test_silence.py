@@ -27,7 +27,7 @@ from contact_reach_ros.timing import NANOSECONDS
 @pytest.fixture
 def controller():
     """In lockstep, with what it commands."""
-    with ros(UNWATCHED, "use_sim_time:=true", "lockstep:=true"):
+    with ros(UNWATCHED, "use_sim_time:=true"):
         node = ControllerNode()
         node.look_around()
         node.commands = []
@@ -93,7 +93,7 @@ def test_with_open_brakes_time_stands_still_until_the_planner_has_had_a_goal(mon
             driver._on_goal_state(DiagnosticStatus())
 
     monkeypatch.setattr(Inbox, "wait", wait)
-    with ros("lockstep:=true", "waits_for_goal:=true", "scene:=free"):
+    with ros("use_sim_time:=true", "waits_for_goal:=true", "scene:=free"):
         driver = DriverNode()
         driver.running = True
         for _ in range(600):

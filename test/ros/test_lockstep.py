@@ -22,10 +22,10 @@ def horizon(name: str, until_ns: int) -> Header:
 class Driver(LockstepDriver):
     """On a clock that goes on while messages are awaited; `arriving` are handled one by one."""
 
-    def __init__(self, *waits_for: str, ends: bool = False) -> None:
+    def __init__(self, participants: int = 3, ends: bool = False) -> None:
         self.now_ns, self.step_ns = 0, 30 * MS
         self.arriving: deque = deque()
-        super().__init__(TICK, waits_for, self.handle, lambda: ends, lambda: self.now_ns)
+        super().__init__(TICK, lambda: participants, self.handle, lambda: ends, lambda: self.now_ns)
         self.expect(START)
 
     def handle(self, _: int) -> None:
@@ -39,9 +39,11 @@ class Driver(LockstepDriver):
 
 
 class TestDriver:
-    def test_waits_for_controller_observer_and_planner_and_those_that_are_named(self):
-        driver = Driver("recorder")
+    def test_waits_for_controller_observer_and_planner_and_those_that_have_promised(self):
+        driver = Driver()
+        assert driver.silent == [*NODES]
         driver.hear_all(START)
+        driver.hear(horizon("recorder", START))
         assert driver.silent == [*NODES, "recorder"]
         promises = [("planner", START + 40 * MS), ("controller", START + TICK), ("observer", START + TICK)]
         promises += [("recorder", FOREVER_NS)]
@@ -66,6 +68,14 @@ class TestDriver:
         driver.begin(lambda: bool(commands), lambda: repeated.append(1))
         # Patience is not limited.
         assert driver.now_ns == 40_000 * MS and len(repeated) == 4
+
+    def test_first_state_is_repeated_until_everybody_who_takes_part_has_promised(self):
+        driver = Driver(participants=4)
+        driver.hear_all(START + TICK)
+        driver.arriving += [*99 * [int], lambda: driver.hear(horizon("recorder", START)), *99 * [int]]
+        driver.arriving += [lambda: driver.hear(horizon("recorder", START + TICK))]
+        driver.begin(lambda: True, int)
+        assert driver.now_ns == 200 * driver.step_ns
 
     def test_time_begins_without_commands_after_a_while(self):
         driver = Driver()
@@ -129,13 +139,14 @@ def run(chance: random.Random) -> list:
         way = chance.choice([way for way, messages in ways.items() if messages])
         handle(way[1], ways[way].popleft())
 
-    driver = LockstepDriver(TICK, ["gripper"], deliver, lambda: False, lambda: 0)
+    driver = LockstepDriver(TICK, lambda: 4, deliver, lambda: False, lambda: 0)
     nodes = {name: Lockstep(name, TICK, promise(name)) for name in (*NODES, "gripper")}
     known: dict[str, list] = {name: [] for name in nodes}
     held: dict[str, deque] = {name: deque() for name in nodes}
     log = []
     for name in ("planner", "controller"):
         nodes[name].hear(horizon("gripper", START))
+    driver.hear(horizon("gripper", START))
     nodes["controller"].hear(horizon("planner", START))
 
     def act(name: str, tick: int) -> None:

@@ -158,6 +158,6 @@ def test_a_recorder_that_comes_late_has_seconds_of_ticks(tmp_path):
         recorder.trigger_activate()
         wait_for(lambda: recorder.turn() or publisher.get_subscription_count(), 60, "the recorder subscribes")
         assert publisher.wait_for_all_acked(Duration(seconds=60.0))
-        recorder.close()
+        recorder.deactivate()
     read = BagReader(bag)
     assert read.topics["/joint_states"].message_count == kept.depth and read.custom_data["messages_lost"] == "0"

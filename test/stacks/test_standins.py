@@ -64,7 +64,7 @@ def stack(kind, rate, lockstep, env, folder, scene="ball"):
     parameters = parameters_of(kind, folder / "parameters.yaml", SMALL_PLANNER if lockstep else PATIENT_PLANNER)
     up += ["--parameters", parameters, "--bag", str(folder / "bag")]
     if lockstep:
-        driver += ["-p", "lockstep:=true", "-p", "waits_for:=adapter"]
+        driver += ["-p", "use_sim_time:=true"]
         up.append("--lockstep")
     with running(up, env, output) as process:
         ready(process, output)
