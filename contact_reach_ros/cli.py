@@ -61,7 +61,6 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--goal", nargs=3, type=float, metavar=("X", "Y", "Z"), help="flange position, m, base frame")
     demo.add_argument("--seed", type=int, help="seed of the scene and the sensor noise (default: 45)")
     demo.add_argument("--lockstep", action="store_true", help="simulated time that waits for every node")
-    demo.add_argument("--timeout", type=float, help="time to reach the goal, s (default: 30)")
     demo.add_argument("--output", type=Path, help="where bag, report and log go (default: bags)")
     demo.add_argument("--parameters", help="parameter file for the nodes (default: the package's)")
     demo.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")

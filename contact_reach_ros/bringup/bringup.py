@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import os
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -42,12 +41,11 @@ def run_bringup(arguments: list[str]) -> int:
         arm = check_arguments(arguments, NAME, BRINGUP_SECTIONS)
         (wanted,) = (entry for entry in BringupOptions.declared() if entry.name == "discovery")
         with bare_node(NAME, early_value(arguments, NAME, wanted), arguments) as node:
-            began = time.monotonic()
             options = declare(node, BRINGUP_SECTIONS, arm)[""]
             _check_own_files(arguments, options)
             _say_discovery(node, options.discovery)
             table = processes(options)
-            refuse_beside_another(node, [process.name for process in table], began)
+            refuse_beside_another(node, [process.name for process in table])
             passed_on = _remappings(arguments)
             file = options.parameter_file
             with StackProcesses(Client(node), table, file, passed_on=passed_on) as stack:

@@ -12,21 +12,22 @@ from pathlib import Path
 
 import numpy as np
 
-from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.bringup.follower import Follower
+from contact_reach_ros.arm import Array
 from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes, stack_arm
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.goal_state import describe
+from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.report.bag import metrics, quantity, read_report_bag
 from contact_reach_ros.report.plot import draw_episode
-from contact_reach_ros.report.summary import SUCCESS_DISTANCE, EpisodeSummary
 from contact_reach_ros.resources import write_text
+from contact_reach_ros.report.summary import EpisodeSummary
+from contact_reach_ros.ros.client import CONTROLLER, StackClient
 from contact_reach_ros.ros.graph import refuse_beside_another
 from contact_reach_ros.ros.interfaces import DEMO
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.scene_file import read_scene
 
 INTERRUPTED = 130
@@ -34,10 +35,10 @@ INTERRUPTED = 130
 _LOOK_S = 0.1
 _LINE_S = 1.0
 _DYING_S = 0.5
-_AFTERWARDS_NS = 300_000_000
-_LAG_S = 5.0
+_TIMEOUT_S = 30.0
+"""Time of the robot's clock in which the goal must be reached, s."""
 _SETTLE_S = 1.2
-"""Time of the robot's clock that is recorded after the goal was reached, s."""
+"""Time of the robot's clock after reaching the goal in which it should settle, s."""
 _MISSED_SHARE = 0.02
 """More missed ticks than a robot's driver ever has: the machine does not simulate the arm in real time."""
 _RECORDED = (
@@ -64,8 +65,6 @@ class DemoOptions:
     """With which the arm touches the ball."""
     goal: tuple[float, float, float] | None = None
     lockstep: bool = False
-    timeout: float = 30.0
-    """Time of the robot's clock in which the goal must be reached, s."""
     parameters: str = ""
     """Parameter file for the nodes; the package's own when empty."""
     view: bool = False
@@ -112,70 +111,61 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
         ),
     )
     table = processes(bringup)
-    interrupted, failure = False, ""
-    end_ns: int | None = None
+    interrupted, is_over, failure = False, False, ""
     with bare_node(DEMO) as node:
-        began = time.monotonic()
         goal = None if options.goal is None else np.array(options.goal)
-        model = RobotModel(stack_arm(bringup))
-        scene = make_scene(read_scene(options.scene), model.arm, options.seed, goal)
-        refuse_beside_another(node, [process.name for process in table], began)
+        scene = make_scene(read_scene(options.scene), stack_arm(bringup), options.seed, goal)
+        refuse_beside_another(node, [process.name for process in table])
         options.output.mkdir(parents=True, exist_ok=True)
-        follower = Follower(node, model, scene.target, _RECORDED)
+        client = StackClient(node)
         log = bag.with_suffix(".log")
-        with StackProcesses(follower, table, bringup.parameter_file, log) as stack:
+        with StackProcesses(client, table, bringup.parameter_file, log) as stack:
             try:
-                end_ns = _drive_to_goal(stack, follower, options)
+                _drive_to_goal(stack, client, scene.target, options.view)
+                is_over = True
                 if options.view:
                     _stay_up(stack)
             except KeyboardInterrupt:
                 # With the page, Ctrl-C ends a stack whose episode is over.
-                interrupted = end_ns is None or not options.view
+                interrupted = not is_over
             except ContactReachError as error:
                 failure = str(error)
             _say("ending the stack", done=True)
     if failure:
         print(f"demo: {failure}", file=sys.stderr)
-    summary = _judge(bag, end_ns, options)
+    summary = _judge(bag, options)
     if interrupted:
         return INTERRUPTED, summary
     code = 0 if summary is not None and summary.success and not failure else 1
     return code, None if failure else summary
 
 
-def _drive_to_goal(stack: StackProcesses, follower: Follower, options: DemoOptions) -> int:
-    """Send the goal and watch until it is reached, the arm is stopped or the time is over; returns the last stamp."""
+def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, view: bool) -> None:
+    """Send the goal (3,), m, and watch until it has settled or is over, the arm is stopped or the time is up."""
     began = time.monotonic()
-    if options.view:
+    if view:
         _say(f"the page will be at {page_address(stack.parameter_file)}", done=True)
     stack.bring_up(lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
-    follower.wait_to_start(stack)
-    goal = np.round(follower.target, 3).tolist()
-    _say(f"stack active after {time.monotonic() - began:.1f} s; goal {goal} m", done=True)
-    follower.send_goal(follower.target, stamp_ns=follower.stamp_ns)
-    sent_ns = follower.stamp_ns
-    reached_ns: int | None = None
-    said_at = 0.0
-    while True:
-        stack.watch(_LOOK_S)
+    stack.wait_to_start(client, _RECORDED)
+    _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)
+    client.send_goal(target)
+    client.wait_for(lambda: [] if client.goal_state else [topics.GOAL_STATE.name])
+    end_s, said_at = _TIMEOUT_S, 0.0
+    while (state := client.goal_state) is not None:
         now = time.monotonic()
-        if sys.stdout.isatty() or now - said_at >= _LINE_S:
-            _say(follower.line(sent_ns), done=not sys.stdout.isatty())
-            said_at = now
-        if reached_ns is None and follower.distance <= SUCCESS_DISTANCE:
-            reached_ns = follower.stamp_ns
-        settled = reached_ns is not None and follower.stamp_ns - reached_ns > _SETTLE_S * NANOSECONDS
-        if follower.stops:
+        if client.stops:
             # When a dying process is the reason, it is named rather than the stop.
             stack.watch(_DYING_S)
-        if settled or follower.stops or follower.stamp_ns - sent_ns > options.timeout * NANOSECONDS:
-            _say(follower.line(sent_ns), done=True)
-            end_ns = follower.stamp_ns
-            # The bag's times may lag behind in simulated time: calls that end the stack must come after the end.
-            give_up = now + _LAG_S
-            while follower.stamp_ns < end_ns + _AFTERWARDS_NS and not follower.stops and time.monotonic() < give_up:
-                follower.spin(_LOOK_S)
-            return end_ns
+        if state.phase is GoalPhase.REACHED:
+            end_s = min(end_s, state.elapsed + _SETTLE_S)
+        is_over = bool(client.stops) or not state.phase.is_open or state.elapsed > end_s
+        if is_over or sys.stdout.isatty() or now - said_at >= _LINE_S:
+            doing = f"stopped by {client.why_stopped}" if client.stops else client.safety[CONTROLLER]
+            _say(f"{describe(state)}; {doing}", done=is_over or not sys.stdout.isatty())
+            said_at = now
+        if is_over:
+            return
+        stack.watch(_LOOK_S)
 
 
 def _stay_up(stack: StackProcesses) -> None:
@@ -185,10 +175,10 @@ def _stay_up(stack: StackProcesses) -> None:
         stack.watch(_LOOK_S)
 
 
-def _judge(bag: Path, end_ns: int | None, options: DemoOptions) -> EpisodeSummary | None:
+def _judge(bag: Path, options: DemoOptions) -> EpisodeSummary | None:
     """Read the bag, print its numbers and write plot and JSON; None if there is nothing to judge."""
     try:
-        found = read_report_bag(bag, bag.name, end_ns, options.timeout, _SETTLE_S)
+        found = read_report_bag(bag, bag.name, _TIMEOUT_S, _SETTLE_S)
     except BagError as error:
         print(f"no summary of {bag}: {error}", file=sys.stderr)
         return None

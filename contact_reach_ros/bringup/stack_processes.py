@@ -17,15 +17,21 @@ from contact_reach_ros.bringup.processes import Process, Wave
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.executables import end_with_parent
 from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.resources import PACKAGE
-from contact_reach_ros.ros.client import CONTROLLER, Client
+from contact_reach_ros.ros.client import CONTROLLER, Client, StackClient
 from contact_reach_ros.ros.graph import refuse_beside_another
+from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.ros.scheduling import prioritise_middleware
 from contact_reach_ros.settings import as_arguments, namespace_arguments
 
 _ACTIVE = "active"
+_BRAKED = "braked"
+"""Safety state of the simulated driver while its brakes are closed."""
 _STARTUP_S = 240.0
 """The first start compiles the planner."""
+_READY_S = 60.0
+"""For nodes that are up to hear each other, and for the brakes to open."""
 _POLL_S = 0.1
 _REST_SPEED = 0.02
 _REST_TIMEOUT_S = 2.0
@@ -117,7 +123,8 @@ class StackProcesses:
         for wave in Wave:
             if wave is Wave.LOOPS:
                 # Once more: discovery has settled while the first processes got ready.
-                refuse_beside_another(self.client.node, [each.name for each in self._table], 0.0, self._running)
+                names = [process.name for process in self._table]
+                refuse_beside_another(self.client.node, names, self._running, patience=0.0)
             processes = [process for process in self._table if process.wave is wave]
             for process in processes:
                 self._start(process)
@@ -134,6 +141,22 @@ class StackProcesses:
             missing |= {name: self._state_of(name) for name in missing}
             missing = {name: state for name, state in missing.items() if state != _ACTIVE}
             self.watch(_POLL_S)
+
+    def wait_to_start(self, client: StackClient, recorded: Sequence[Topic] = ()) -> None:
+        """Wait until goals move the simulated arm, and the recorder hears these topics.
+
+        Raises `ContactReachError` if a process died, something stopped the arm, or it takes too long.
+        """
+
+        def missing() -> list[str]:
+            self.check()
+            if client.stops:
+                raise StackError(f"stopped by {client.why_stopped}")
+            brakes = ["open brakes of the driver"] if client.safety.get("driver", _BRAKED) == _BRAKED else []
+            unheard = [topic.name for topic in recorded if not client.hears(RECORDER, topic)]
+            return [*client.missing(), *brakes, *(f"{name} by the {RECORDER}" for name in unheard)]
+
+        client.wait_for(missing, _READY_S)
 
     def watch(self, seconds: float) -> None:
         """Serve the node for a while, then `check`."""
