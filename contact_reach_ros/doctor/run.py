@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arms import arm_in, load_arm, robot_in
+from contact_reach_ros.arms import arm_in
 from contact_reach_ros.doctor import arm as joints
 from contact_reach_ros.doctor import machine
 from contact_reach_ros.doctor.findings import (
@@ -41,25 +39,17 @@ def run_doctor(parameters: Path | None = None, discovery: str = "host", file: Pa
     """
     console, used = Console(), parameters or config_file(DEFAULT_PARAMETERS)
     with console.status("looking at this machine and its software ..."):
-        try:
-            arm = load_arm(robot_in(used))
-        except SettingsError:
-            # The check of the file says why.
-            arm = load_arm()
-        report = examine(used, discovery, arm)
+        report = examine(used, discovery)
     print_table(report, console)
     if file is not None:
         write_json(report, file)
     return exit_code(report)
 
 
-def examine(file: Path, discovery: str, arm: Arm) -> Report:
+def examine(file: Path, discovery: str) -> Report:
     """Make all checks, of the nodes with a parameter file."""
     report = {
-        "machine": {
-            "real-time priority": attempt(machine.realtime_permission),
-            "timer at 1 kHz": attempt(machine.timer_jitter),
-        },
+        "machine": {"timer at 1 kHz": attempt(machine.timer_jitter)},
         "software": {"parameters": attempt(_parameters, file)},
     }
     try:
@@ -74,7 +64,7 @@ def examine(file: Path, discovery: str, arm: Arm) -> Report:
     os.environ.update(environment(discovery))
     report["software"]["discovery"] = attempt(stack.discovery_in_use)
     try:
-        graph, record = stack.look_around(discovery, _LISTEN_S, arm)
+        graph, heard = stack.look_around(discovery, _LISTEN_S)
     except ContactReachError as error:
         fix = "see whether the middleware works: RMW_IMPLEMENTATION, ROS_DOMAIN_ID, the Fast DDS profile file"
         report["stack"] = {"nodes": failed(str(error), fix)}
@@ -83,10 +73,15 @@ def examine(file: Path, discovery: str, arm: Arm) -> Report:
     if graph.running:
         report["stack"]["safety state"] = attempt(stack.safety_state, graph)
         report["topics"] = {topic.name: attempt(stack.topic, graph, topic) for topic in topics.ALL}
-        settings = graph.settings.get("controller", parameters_in(file, "controller"))
+        try:
+            arm = arm_in(graph.settings.get("controller") or parameters_in(file, "controller"), "the controller")
+        except SettingsError:
+            # The check of the file says why.
+            return report
+        record = stack.joint_record(heard, arm)
         report["arm"] = {
             "joint names and order": attempt(joints.joint_names, record, arm, graph.command_order),
-            "gravity against torque": attempt(_gravity, record, file, settings),
+            "gravity against torque": attempt(_gravity, record, file, arm),
         }
         # Simulated time may run at any speed.
         if not graph.publishers[topics.CLOCK.name]:
@@ -101,8 +96,7 @@ def _parameters(file: Path) -> Finding:
     return Finding(Verdict.PASS, f"{file}: valid for {', '.join(NODES)}")
 
 
-def _gravity(record: joints.JointRecord, file: Path, settings: Mapping[str, Any]) -> Finding:
-    """`settings`: the controller's, with the arm and its tool."""
-    arm = arm_in(settings, "the controller")
+def _gravity(record: joints.JointRecord, file: Path, arm: Arm) -> Finding:
+    """`arm`: with its tool."""
     budget = load_budget(parameters_in(file, "observer").get("contact_budget", "")).resolve(arm)
     return joints.gravity(record, RobotModel(arm), budget)

@@ -143,7 +143,7 @@ INTERFACES = {
     OPERATOR: _node(
         [topics.GOAL_POSE],
         [topics.GOAL_STATE, *_REPORTS, topics.SETTINGS, topics.JOINT_STATES],
-        calls=[*_STOP_AND_RESET, *(f"{name}/set_parameters_atomically" for name in (*TUNABLE, ADAPTER))],
+        calls=[*_STOP_AND_RESET, "planner/set_parameters_atomically"],
     ),
     REPLAY: _node([topic._replace(name=f"{REPLAY}/{topic.name}") for topic in topics.ALL], []),
 }
