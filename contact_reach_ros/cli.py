@@ -74,7 +74,6 @@ def _parser() -> argparse.ArgumentParser:
     _add_arm(up, "robot")
     up.add_argument("--scene", help="a name in config/scenes, or a YAML file (default: ball)")
     up.add_argument("--lockstep", action="store_true", help="simulated time that waits for every node")
-    up.add_argument("--robot", metavar="ARM", help="name of the arm (default: the parameter file's)")
     up.add_argument("--state-rate", type=float, metavar="HZ", help="of joint states (default: the parameter file's)")
     up.add_argument("--bag", metavar="DIR", help="record a bag (default: none)")
     up.add_argument("--parameters", metavar="FILE", help="parameter file for the nodes (default: the package's)")

@@ -179,6 +179,7 @@ COMMANDS: Mapping[str, str] = {
     "report --csv": "read the bag itself, an mcap file, with ros2 bag or Foxglove; --json writes the numbers",
     "report --with": "run contact-reach reexecute BAG --with FILE",
     "demo --timeout": "leave it out: a goal has 30 s of the robot's clock",
+    "up --robot": "use --arm",
     "up --seed": "use --set driver:seed=N",
     "up --target": 'use --set "driver:target=X Y Z"',
     "identify --without": "identify the arm without its tool with --links first, start the stack with the file that "

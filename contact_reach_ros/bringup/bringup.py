@@ -11,13 +11,11 @@ from typing import Any
 
 from rclpy.node import Node
 
-from contact_reach_ros.bringup.processes import processes
 from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS, BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
-from contact_reach_ros.ros.graph import refuse_beside_another
 from contact_reach_ros.ros.parameters import check_arguments, declare, early_value
 from contact_reach_ros.ros.process import bare_node, in_namespace
 from contact_reach_ros.settings import as_arguments, check_node_names, sections_of_others
@@ -44,11 +42,7 @@ def run_bringup(arguments: list[str]) -> int:
             options = declare(node, BRINGUP_SECTIONS, arm)[""]
             _check_own_files(arguments, options)
             _say_discovery(node, options.discovery)
-            table = processes(options)
-            refuse_beside_another(node, [process.name for process in table])
-            passed_on = _remappings(arguments)
-            file = options.parameter_file
-            with StackProcesses(Client(node), table, file, passed_on=passed_on) as stack:
+            with StackProcesses(Client(node), options, passed_on=_remappings(arguments)) as stack:
                 try:
                     _supervise(node, stack)
                 except KeyboardInterrupt:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from contact_reach_ros.arm import Array
-from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes, stack_arm
+from contact_reach_ros.bringup.processes import BringupOptions, page_address, stack_arm
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.messages import topics
@@ -24,7 +24,6 @@ from contact_reach_ros.report.plot import draw_episode
 from contact_reach_ros.resources import write_text
 from contact_reach_ros.report.summary import EpisodeSummary
 from contact_reach_ros.ros.client import CONTROLLER, StackClient
-from contact_reach_ros.ros.graph import refuse_beside_another
 from contact_reach_ros.ros.interfaces import DEMO
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import make_scene
@@ -110,16 +109,12 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
             *(["driver:waits_for_goal=true"] if options.lockstep else []),
         ),
     )
-    table = processes(bringup)
     interrupted, is_over, failure = False, False, ""
     with bare_node(DEMO) as node:
         goal = None if options.goal is None else np.array(options.goal)
         scene = make_scene(read_scene(options.scene), stack_arm(bringup), options.seed, goal)
-        refuse_beside_another(node, [process.name for process in table])
-        options.output.mkdir(parents=True, exist_ok=True)
         client = StackClient(node)
-        log = bag.with_suffix(".log")
-        with StackProcesses(client, table, bringup.parameter_file, log) as stack:
+        with StackProcesses(client, bringup, bag.with_suffix(".log")) as stack:
             try:
                 _drive_to_goal(stack, client, scene.target, options.view)
                 is_over = True

@@ -8,12 +8,13 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from lifecycle_msgs.srv import GetState
 from sensor_msgs.msg import JointState
 
-from contact_reach_ros.bringup.processes import Process, Wave
+from contact_reach_ros.bringup.processes import BringupOptions, Process, Wave, processes
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.executables import end_with_parent
 from contact_reach_ros.messages import topics
@@ -45,7 +46,7 @@ class StackError(ContactReachError):
 
 
 class StackProcesses:
-    """The processes of the running stack, which end with the context that this manages.
+    """The processes of a stack, which end with the context that this manages; it is not entered beside another stack.
 
     From its creation on SIGINT and SIGTERM are only noted, and `check` raises `KeyboardInterrupt`. Python would raise
     it anywhere, also where rclpy's C++ makes a Python object and then reports another error, and a second Ctrl-C would
@@ -55,21 +56,25 @@ class StackProcesses:
     ----------
     client
         For services and topics.
-    table
-        From `processes`.
-    parameter_file
-        Given to every process.
+    options
+        What to start.
     log
-        File for the output of the processes; their own terminal when None.
+        File for the output of the processes, whose folder is made; their own terminal when None.
     passed_on
         ROS arguments for every process, such as remappings. All have the node's namespace.
+
+    Raises
+    ------
+    SceneError, SettingsError
+        As `processes`.
+    InputError
+        Where it is entered beside another stack.
     """
 
     def __init__(
         self,
         client: Client,
-        table: Sequence[Process],
-        parameter_file: Path,
+        options: BringupOptions,
         log: Path | None = None,
         passed_on: Sequence[str] = (),
     ) -> None:
@@ -78,16 +83,21 @@ class StackProcesses:
         self._interrupted = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._interrupt)
-        self._table = list(table)
-        self.parameter_file = parameter_file
+        self._table = processes(options)
+        self._names = [process.name for process in self._table]
+        self.parameter_file = options.parameter_file
         self._log_path = log
-        self._log = None if log is None else log.open("wb")
+        self._log: BinaryIO | None = None
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._optional: set[str] = set()
         self._speed = float("nan")
         client.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
 
     def __enter__(self) -> StackProcesses:
+        refuse_beside_another(self.client.node, self._names)
+        if self._log_path is not None:
+            self._log_path.parent.mkdir(parents=True, exist_ok=True)
+            self._log = self._log_path.open("wb")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -123,13 +133,12 @@ class StackProcesses:
         for wave in Wave:
             if wave is Wave.LOOPS:
                 # Once more: discovery has settled while the first processes got ready.
-                names = [process.name for process in self._table]
-                refuse_beside_another(self.client.node, names, self._running, patience=0.0)
-            processes = [process for process in self._table if process.wave is wave]
-            for process in processes:
+                refuse_beside_another(self.client.node, self._names, self._running, patience=0.0)
+            started = [process for process in self._table if process.wave is wave]
+            for process in started:
                 self._start(process)
-            self._wait_active([process.name for process in processes], deadline, progress)
-            self._optional |= {process.name for process in processes if not process.essential}
+            self._wait_active([process.name for process in started], deadline, progress)
+            self._optional |= {process.name for process in started if not process.essential}
 
     def _wait_active(self, names: Sequence[str], deadline: float, progress: Callable[[str], None]) -> None:
         missing = dict.fromkeys(names, "not asked yet")

@@ -17,7 +17,7 @@ from typing import Any
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.bringup.processes import BringupOptions, processes
+from contact_reach_ros.bringup.processes import BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.resources import write_text
@@ -70,10 +70,10 @@ def run_fitness(file: Path | None = None, seconds: float = 60.0, load: int = 0) 
     directory = Path(tempfile.mkdtemp(prefix=f"{NAME}_"))
     options = BringupOptions(scene=SCENE, bag=str(directory / "bag"))
     with bare_node(NAME) as node:
-        client, log = StackClient(node), directory / "log"
+        client = StackClient(node)
         start, _ = RobotModel(scene.arm).tip_pose(scene.start)
         goals = itertools.cycle([scene.target, start])
-        with StackProcesses(client, processes(options), options.parameter_file, log) as stack:
+        with StackProcesses(client, options, directory / "log") as stack:
             report = {"seconds": seconds, "load": load, **_measure(seconds, load, stack, client, goals)}
     shutil.rmtree(directory)
     print_report(report)
