@@ -22,14 +22,13 @@ from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.resources import write_text
 from contact_reach_ros.planning.goal_progress import GoalPhase
-from contact_reach_ros.ros.client import StackClient
+from contact_reach_ros.ros.client import CONTROLLER, StackClient
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.timing import percentiles_us, read_counts
 
 NAME = "fitness"
-DRIVER, CONTROLLER = "driver", "controller"
-"""Nodes whose counters are read."""
+DRIVER = "driver"
 SCENE = "ball"
 """Where the arm moves to and fro between its start and the target."""
 

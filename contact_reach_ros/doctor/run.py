@@ -26,7 +26,7 @@ from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.presets import check_parameters
 from contact_reach_ros.resources import config_file
-from contact_reach_ros.settings import DEFAULT_PARAMETERS, NODES, parameters_in
+from contact_reach_ros.settings import DEFAULT_PARAMETERS, NODES, RATE, parameters_in
 
 _LISTEN_S = 1.0
 
@@ -74,7 +74,8 @@ def examine(file: Path, discovery: str) -> Report:
         report["stack"]["safety state"] = attempt(stack.safety_state, graph)
         report["topics"] = {topic.name: attempt(stack.topic, graph, topic) for topic in topics.ALL}
         try:
-            arm = arm_in(graph.settings.get("controller") or parameters_in(file, "controller"), "the controller")
+            settings = graph.settings.get("controller") or parameters_in(file, "controller")
+            arm = arm_in(settings, "the controller")
         except SettingsError:
             # The check of the file says why.
             return report
@@ -85,7 +86,7 @@ def examine(file: Path, discovery: str) -> Report:
         }
         # Simulated time may run at any speed.
         if not graph.publishers[topics.CLOCK.name]:
-            report["arm"]["driver rate"] = attempt(joints.driver_rate, record, graph.nominal_rate)
+            report["arm"]["driver rate"] = attempt(joints.driver_rate, record, settings.get(RATE.name, RATE.default))
             report["arm"]["clocks"] = attempt(joints.clock_skew, record)
     return report
 

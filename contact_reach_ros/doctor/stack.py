@@ -34,7 +34,6 @@ from contact_reach_ros.ros.discovery import reach
 from contact_reach_ros.ros.graph import full_name, node_of
 from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, DOCTOR, INTERFACES, MANAGED, VIEWER
 from contact_reach_ros.ros.process import bare_node
-from contact_reach_ros.timing import PERIOD
 
 _NEEDED_NODES = ("controller", "observer", "planner")
 """A real robot's driver may have any name; recorder and bring-up are not needed."""
@@ -88,17 +87,6 @@ class Graph:
     safety: Sequence[tuple[str, str, bool]] = ()
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     command_order: Sequence[str] | None = None
-
-    @property
-    def nominal_rate(self) -> float:
-        """Of joint states, Hz: what the controller reports, or else the default."""
-        rate = self.settings.get("controller", {}).get("state_rate")
-        return rate if isinstance(rate, float) else 1.0 / PERIOD
-
-    @property
-    def requires_observer(self) -> bool:
-        """Whether the controller starts an arm only while an observer watches it."""
-        return self.settings.get("controller", {}).get("supervision.require_observer") is not False
 
     @property
     def running(self) -> bool:

@@ -249,14 +249,15 @@ class StackClient(Client):
         """
         give_up = time.monotonic() + timeout
         answers: list[str] = []
-        self.hear_stops()
-        while self.stops:
-            outcome = self.release(self.stops)
-            answers = [*answers, outcome.text] if outcome.done else answers
-            if time.monotonic() > give_up:
-                return outcome if not outcome.done else Outcome(True, "; ".join(answers))
+        while True:
             self.hear_stops()
-        return Outcome(True, "; ".join(answers) or _NOTHING)
+            if not self.stops:
+                return Outcome(True, "; ".join(answers) or _NOTHING)
+            outcome = self.release(self.stops)
+            if outcome.done:
+                answers.append(outcome.text)
+            if time.monotonic() > give_up:
+                return Outcome(True, "; ".join(answers)) if outcome.done else outcome
 
     def go(self, position: Array, rotation: Array | None) -> Outcome:
         """Send a goal (3,), m, (3, 3), unless the arm is stopped; returns whether it is taken.

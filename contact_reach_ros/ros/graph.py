@@ -43,10 +43,10 @@ def node_of(endpoint: TopicEndpointInfo) -> str:
     return full_name(endpoint.node_namespace, endpoint.node_name)
 
 
-def commanders_that_hear(node: Node, wanted: Iterable[Topic]) -> list[str]:
-    """Full names of the nodes that publish commands, for driver, adapter or nobody, and hear all of these topics."""
+def controllers(node: Node) -> list[str]:
+    """Full names of the nodes that publish commands, for driver, adapter or nobody, and hear both halves of a plan."""
     names = set().union(*(_names(node.get_publishers_info_by_topic(topic.name)) for topic in _COMMANDS))
-    for topic in wanted:
+    for topic in (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE):
         names &= _names(node.get_subscriptions_info_by_topic(topic.name))
     return sorted(names)
 

@@ -37,9 +37,6 @@ DOCTOR = "contact_reach_doctor"
 OPERATOR = "operator"
 """The node of contact-reach goto, home, identify, speed, stop and reset."""
 
-TUNABLE = ("planner", "controller", "observer", "driver")
-"""Nodes whose parameters a restart of the stack may change."""
-
 STOPPABLE = ("controller", "observer", ADAPTER, "driver")
 """Nodes with the services ~/stop and ~/reset; a reset begins with the last one."""
 
