@@ -135,7 +135,7 @@ INTERFACES = {
     **MANAGED,
     "bringup": _node([], [topics.JOINT_STATES], [], [*(f"{name}/get_state" for name in MANAGED), "controller/stop"]),
     DOCTOR: _node(
-        [], topics.ALL, calls=[f"{name}/{service}" for name in MANAGED for service in ("get_state", "get_parameters")]
+        [], topics.ALL, calls=[*(f"{name}/get_state" for name in MANAGED), "effort_controller/get_parameters"]
     ),
     OPERATOR: _node(
         [topics.GOAL_POSE],

@@ -8,6 +8,9 @@ from rclpy.serialization import serialize_message
 from stack_helpers import hand_in, ros
 
 from contact_reach_ros.arms.iiwa14 import ARM
+from contact_reach_ros.bringup import stack_processes
+from contact_reach_ros.bringup.settings import BringupOptions
+from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_status, to_stop_state
@@ -110,3 +113,20 @@ def test_to_a_stopped_arm_no_goal_is_sent(client, monkeypatch):
     monkeypatch.setattr(client, "send_goal", None)
     outcome = client.go(np.zeros(3), None)
     assert not outcome.done and "controller: too fast" in outcome.text and "contact-reach reset" in outcome.text
+
+
+@pytest.mark.usefixtures("signal_handlers")
+def test_a_simulated_arm_waits_for_its_brakes_and_the_recorder(client, monkeypatch):
+    monkeypatch.setattr(stack_processes, "_READY_S", 0.1)
+    monkeypatch.setattr(client, "missing", list)
+    stack = StackProcesses(client, BringupOptions())
+    for actuation, reason, missing in (
+        ("braked", "", ": open brakes of the driver, joint_states by the recorder;"),
+        ("commanded", "", ": joint_states by the recorder;"),
+        ("braked", "silence", "stopped by driver: silence"),
+    ):
+        hear(client, topics.SAFETY_STATE, to_stop_state("driver", ARM, reason, actuation, {}))
+        with pytest.raises(ContactReachError, match=missing):
+            stack.wait_to_start(client, [topics.JOINT_STATES])
+    hear(client, topics.SAFETY_STATE, to_stop_state("driver", ARM, "", "commanded", {}))
+    stack.wait_to_start(client)
