@@ -143,7 +143,7 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
     stack.bring_up(lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
     stack.wait_to_start(client, _RECORDED)
     _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)
-    client.send_goal(target)
+    client.send_goal(target, stamp_ns=stack.stamp_ns)
     client.wait_for(lambda: [] if client.goal_state else [topics.GOAL_STATE.name])
     end_s, said_at = _TIMEOUT_S, 0.0
     while (state := client.goal_state) is not None:

@@ -19,6 +19,7 @@ from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.executables import end_with_parent
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
+from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.client import CONTROLLER, Client, StackClient
 from contact_reach_ros.ros.graph import refuse_beside_another
@@ -63,6 +64,11 @@ class StackProcesses:
     passed_on
         ROS arguments for every process, such as remappings. All have the node's namespace.
 
+    Attributes
+    ----------
+    stamp_ns
+        Of the newest joint state, ns.
+
     Raises
     ------
     SceneError, SettingsError
@@ -90,6 +96,7 @@ class StackProcesses:
         self._log: BinaryIO | None = None
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._optional: set[str] = set()
+        self.stamp_ns = 0
         self._speed = float("nan")
         client.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
 
@@ -251,4 +258,5 @@ class StackProcesses:
         self.client.until(lambda: not self._speed > _REST_SPEED, _REST_TIMEOUT_S)
 
     def _on_state(self, message: JointState) -> None:
+        self.stamp_ns = nanoseconds(message.header.stamp)
         self._speed = float(np.abs(message.velocity).max()) if message.velocity else float("nan")

@@ -20,7 +20,7 @@ from contact_reach_ros.arm import Array
 from contact_reach_ros.arms import arm_in, load_arm
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import to_goal_pose
+from contact_reach_ros.messages.conversions import to_goal_pose, to_time
 from contact_reach_ros.messages.goal_state import describe, read_goal_state
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.topics import Topic
@@ -289,9 +289,9 @@ class StackClient(Client):
             )
         return Outcome(True, "the goal is taken: the controller follows the plans for it")
 
-    def send_goal(self, position: Array, rotation: Array | None = None) -> None:
-        """Publish a goal (3,), m, (3, 3), stamped with the present time."""
-        stamp = self.node.get_clock().now().to_msg()
+    def send_goal(self, position: Array, rotation: Array | None = None, stamp_ns: int | None = None) -> None:
+        """Publish a goal (3,), m, (3, 3), stamped with the present time by default."""
+        stamp = self.node.get_clock().now().to_msg() if stamp_ns is None else to_time(stamp_ns)
         self._goal_ns, self.goal_state = nanoseconds(stamp), None
         self._goals.publish(to_goal_pose(position.tolist(), self.arm.base_frame, stamp, rotation))
 
