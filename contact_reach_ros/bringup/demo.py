@@ -40,17 +40,6 @@ _SETTLE_S = 1.2
 """Time of the robot's clock after reaching the goal in which it should settle, s."""
 _MISSED_SHARE = 0.02
 """More missed ticks than a robot's driver ever has: the machine does not simulate the arm in real time."""
-_RECORDED = (
-    topics.JOINT_STATES,
-    topics.COMMANDS,
-    topics.EXTERNAL_TORQUE,
-    topics.SIM_CONTACTS,
-    topics.SAFETY_STATE,
-    topics.DIAGNOSTICS,
-    topics.REFERENCE_POSE,
-    topics.GOAL_POSE,
-)
-"""Topics from which a demo is judged."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +130,7 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
     if view:
         _say(f"the page will be at {page_address(stack.parameter_file)}", done=True)
     stack.bring_up(lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
-    stack.wait_to_start(client, _RECORDED)
+    stack.wait_to_start(client)
     _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)
     client.send_goal(target, stamp_ns=stack.stamp_ns)
     client.wait_for(lambda: [] if client.goal_state else [topics.GOAL_STATE.name])

@@ -18,7 +18,6 @@ from contact_reach_ros.bringup.processes import BringupOptions, Process, Wave, p
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.executables import end_with_parent
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.client import CONTROLLER, Client, StackClient
@@ -158,8 +157,8 @@ class StackProcesses:
             missing = {name: state for name, state in missing.items() if state != _ACTIVE}
             self.watch(_POLL_S)
 
-    def wait_to_start(self, client: StackClient, recorded: Sequence[Topic] = ()) -> None:
-        """Wait until goals move the simulated arm, and the recorder hears these topics.
+    def wait_to_start(self, client: StackClient) -> None:
+        """Wait until goals move the simulated arm, and the recorder, if there is one, hears them.
 
         Raises `ContactReachError` if a process died, something stopped the arm, or it takes too long.
         """
@@ -169,8 +168,9 @@ class StackProcesses:
             if client.stops:
                 raise StackError(f"stopped by {client.why_stopped}")
             brakes = ["open brakes of the driver"] if client.safety.get("driver", _BRAKED) == _BRAKED else []
-            unheard = [topic.name for topic in recorded if not client.hears(RECORDER, topic)]
-            return [*client.missing(), *brakes, *(f"{name} by the {RECORDER}" for name in unheard)]
+            recorded = (topics.GOAL_POSE, topics.JOINT_STATES) if RECORDER in self._names else ()
+            unheard = [f"{topic.name} by the {RECORDER}" for topic in recorded if not client.hears(RECORDER, topic)]
+            return [*client.missing(), *brakes, *unheard]
 
         client.wait_for(missing, _READY_S)
 

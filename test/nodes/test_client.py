@@ -119,14 +119,14 @@ def test_to_a_stopped_arm_no_goal_is_sent(client, monkeypatch):
 def test_a_simulated_arm_waits_for_its_brakes_and_the_recorder(client, monkeypatch):
     monkeypatch.setattr(stack_processes, "_READY_S", 0.1)
     monkeypatch.setattr(client, "missing", list)
-    stack = StackProcesses(client, BringupOptions())
+    stack = StackProcesses(client, BringupOptions(bag="somewhere"))
     for actuation, reason, missing in (
-        ("braked", "", ": open brakes of the driver, joint_states by the recorder;"),
-        ("commanded", "", ": joint_states by the recorder;"),
+        ("braked", "", ": open brakes of the driver, goal_pose by the recorder, joint_states by the recorder;"),
+        ("commanded", "", ": goal_pose by the recorder, joint_states by the recorder;"),
         ("braked", "silence", "stopped by driver: silence"),
     ):
         hear(client, topics.SAFETY_STATE, to_stop_state("driver", ARM, reason, actuation, {}))
         with pytest.raises(ContactReachError, match=missing):
-            stack.wait_to_start(client, [topics.JOINT_STATES])
+            stack.wait_to_start(client)
     hear(client, topics.SAFETY_STATE, to_stop_state("driver", ARM, "", "commanded", {}))
-    stack.wait_to_start(client)
+    StackProcesses(client, BringupOptions()).wait_to_start(client)
