@@ -107,14 +107,6 @@ def test_a_goal_is_taken_when_the_planner_pursues_it_and_the_controller_accepts_
     assert text in outcome.text and outcome.done == text.startswith("the goal is taken")
 
 
-def test_to_a_stopped_arm_no_goal_is_sent(client, monkeypatch):
-    hear(client, topics.SAFETY_STATE, to_stop_state("controller", ARM, "too fast", "holding", {}))
-    monkeypatch.setattr(client, "spin", lambda _: None)
-    monkeypatch.setattr(client, "send_goal", None)
-    outcome = client.go(np.zeros(3), None)
-    assert not outcome.done and "controller: too fast" in outcome.text and "contact-reach reset" in outcome.text
-
-
 @pytest.mark.usefixtures("signal_handlers")
 def test_a_simulated_arm_waits_for_its_brakes_and_the_recorder(client, monkeypatch):
     monkeypatch.setattr(stack_processes, "_READY_S", 0.1)
