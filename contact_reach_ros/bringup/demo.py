@@ -137,8 +137,8 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
     end_s, said_at = _TIMEOUT_S, 0.0
     while (state := client.goal_state) is not None:
         now = time.monotonic()
-        if client.stops:
-            # When a dying process is the reason, it is named rather than the stop.
+        if client.stops or state.phase.is_over:
+            # When a dying process is the reason, it is named rather than what followed.
             stack.watch(_DYING_S)
         if state.phase is GoalPhase.REACHED:
             end_s = min(end_s, state.elapsed + _SETTLE_S)
