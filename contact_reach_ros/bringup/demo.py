@@ -27,6 +27,7 @@ from contact_reach_ros.ros.client import CONTROLLER, StackClient
 from contact_reach_ros.ros.interfaces import DEMO
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.scene_file import read_scene
 
 INTERRUPTED = 130
@@ -37,7 +38,7 @@ _DYING_S = 0.5
 _TIMEOUT_S = 30.0
 """Time of the robot's clock in which the goal must be reached, s."""
 _SETTLE_S = 1.2
-"""Time of the robot's clock after reaching the goal in which it should settle, s."""
+"""Time of the robot's clock that is recorded after the goal was reached, s."""
 _MISSED_SHARE = 0.02
 """More missed ticks than a robot's driver ever has: the machine does not simulate the arm in real time."""
 
@@ -125,7 +126,7 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
 
 
 def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, view: bool) -> None:
-    """Send the goal (3,), m, and watch until it has settled or is over, the arm is stopped or the time is up."""
+    """Send the goal (3,), m, and watch until it is reached or over, the arm is stopped or the time is up."""
     began = time.monotonic()
     if view:
         _say(f"the page will be at {page_address(stack.parameter_file)}", done=True)
@@ -134,15 +135,15 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
     _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)
     client.send_goal(target, stamp_ns=stack.stamp_ns)
     client.wait_for(lambda: [] if client.goal_state else [topics.GOAL_STATE.name])
-    end_s, said_at = _TIMEOUT_S, 0.0
+    end_ns, said_at = stack.stamp_ns + round(_TIMEOUT_S * NANOSECONDS), 0.0
     while (state := client.goal_state) is not None:
         now = time.monotonic()
         if client.stops or state.phase.is_over:
             # When a dying process is the reason, it is named rather than what followed.
             stack.watch(_DYING_S)
-        if state.phase is GoalPhase.REACHED:
-            end_s = min(end_s, state.elapsed + _SETTLE_S)
-        is_over = bool(client.stops) or not state.phase.is_open or state.elapsed > end_s
+        if state.phase in (GoalPhase.REACHED, GoalPhase.SETTLED):
+            end_ns = min(end_ns, stack.stamp_ns + round(_SETTLE_S * NANOSECONDS))
+        is_over = bool(client.stops) or state.phase.is_over or stack.stamp_ns > end_ns
         if is_over or sys.stdout.isatty() or now - said_at >= _LINE_S:
             doing = f"stopped by {client.why_stopped}" if client.stops else client.safety[CONTROLLER]
             _say(f"{describe(state)}; {doing}", done=is_over or not sys.stdout.isatty())
