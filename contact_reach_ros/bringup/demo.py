@@ -21,8 +21,8 @@ from contact_reach_ros.messages.goal_state import describe
 from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.report.bag import metrics, quantity, read_report_bag
 from contact_reach_ros.report.plot import draw_episode
-from contact_reach_ros.resources import write_text
 from contact_reach_ros.report.summary import EpisodeSummary
+from contact_reach_ros.resources import write_text
 from contact_reach_ros.ros.client import CONTROLLER, StackClient
 from contact_reach_ros.ros.interfaces import DEMO
 from contact_reach_ros.ros.process import bare_node

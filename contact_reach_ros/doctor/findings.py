@@ -14,7 +14,6 @@ from rich.markup import escape
 from rich.table import Table
 
 from contact_reach_ros.resources import write_text
-from contact_reach_ros.errors import InputError
 
 
 class Verdict(Enum):

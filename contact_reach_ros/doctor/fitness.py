@@ -20,8 +20,8 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bringup.processes import BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.resources import write_text
 from contact_reach_ros.planning.goal_progress import GoalPhase
+from contact_reach_ros.resources import write_text
 from contact_reach_ros.ros.client import CONTROLLER, StackClient
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import load_scene

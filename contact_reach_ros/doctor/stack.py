@@ -89,6 +89,11 @@ class Graph:
     command_order: Sequence[str] | None = None
 
     @property
+    def requires_observer(self) -> bool:
+        """Whether the controller starts an arm only while an observer watches it."""
+        return self.settings.get("controller", {}).get("supervision.require_observer") is not False
+
+    @property
     def running(self) -> bool:
         """Whether any part of a stack is there."""
         return any(f"/{name}" in self.nodes for name in MANAGED if name != VIEWER) or bool(
