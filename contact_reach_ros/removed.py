@@ -180,6 +180,8 @@ COMMANDS: Mapping[str, str] = {
     "bag repair": "damaged bags are read as they are; ros2 bag reindex makes metadata.yaml, mcap recover the index",
     "report --csv": "read the bag itself, an mcap file, with ros2 bag or Foxglove; --json writes the numbers",
     "report --with": "run contact-reach reexecute BAG --with FILE",
+    "demo --timeout": "leave it out: a goal has 30 s of the robot's clock",
+    "up --robot": "use --arm",
     "up --seed": "use --set driver:seed=N",
     "up --target": 'use --set "driver:target=X Y Z"',
     "identify --without": "identify the arm without its tool with --links first, start the stack with the file that "

@@ -145,7 +145,7 @@ def test_every_command_is_one_that_there_is(command):
 
 
 def test_what_bringup_takes_up_takes():
-    words = "up --scene ball --robot fr3 --state-rate 500 --adapter lbr --parameters FILE --discovery subnet --bag DIR"
+    words = "up --scene ball --arm fr3 --state-rate 500 --adapter lbr --parameters FILE --discovery subnet --bag DIR"
     options = PARSER.parse_args([*words.split(), "--lockstep", "--no-driver", "--view", "--set", "driver:seed=1"])
     assert set(vars(options)) - {"run"} == {entry.name for entry in BringupOptions.declared()}
 

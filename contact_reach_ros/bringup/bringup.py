@@ -5,20 +5,17 @@ from __future__ import annotations
 import itertools
 import os
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from rclpy.node import Node
 
-from contact_reach_ros.bringup.processes import processes
 from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS, BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
-from contact_reach_ros.ros.graph import refuse_beside_another
 from contact_reach_ros.ros.parameters import check_arguments
 from contact_reach_ros.ros.process import bare_node, in_namespace
 from contact_reach_ros.settings import NODES, as_arguments, check_node_names, parameters_in
@@ -42,13 +39,8 @@ def run_bringup(arguments: list[str]) -> int:
         options: BringupOptions = check_arguments(arguments, NAME, BRINGUP_SECTIONS)[""]
         _check_own_files(arguments, options)
         with bare_node(NAME, options.discovery, arguments) as node:
-            began = time.monotonic()
             _say_discovery(node, options.discovery)
-            table = processes(options)
-            refuse_beside_another(node, [process.name for process in table], began)
-            passed_on = _remappings(arguments)
-            file = options.parameter_file
-            with StackProcesses(Client(node), table, file, passed_on=passed_on) as stack:
+            with StackProcesses(Client(node), options, passed_on=_remappings(arguments)) as stack:
                 try:
                     _supervise(node, stack)
                 except KeyboardInterrupt:

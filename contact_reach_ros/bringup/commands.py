@@ -68,7 +68,6 @@ def home(wait: bool = False, timeout: float = 30.0, discovery: str = "host", nam
 def speed(scale: float, discovery: str = "host", namespace: str = "") -> int:
     """Let the planner use this share, 0.01 to 1, of the speed that its bounds permit, from the next plan on."""
     with connect(discovery, namespace) as client:
-        client.wait_for(client.missing)
         outcome = client.change(PLANNER, {SPEED_SCALE: scale})
         return _report(outcome if not outcome.done else Outcome(True, f"{SPEED_SCALE} = {scale:g}"))
 

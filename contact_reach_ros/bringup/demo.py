@@ -12,17 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.bringup.follower import Follower
-from contact_reach_ros.bringup.processes import BringupOptions, page_address, processes, stack_arm
+from contact_reach_ros.arm import Array
+from contact_reach_ros.bringup.processes import BringupOptions, page_address, stack_arm
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.goal_state import describe
+from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.report.bag import metrics, quantity, read_report_bag
 from contact_reach_ros.report.plot import draw_episode
-from contact_reach_ros.report.summary import SUCCESS_DISTANCE, EpisodeSummary
+from contact_reach_ros.report.summary import EpisodeSummary
 from contact_reach_ros.resources import write_text
-from contact_reach_ros.ros.graph import refuse_beside_another
+from contact_reach_ros.ros.client import CONTROLLER, StackClient
 from contact_reach_ros.ros.interfaces import DEMO
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import make_scene
@@ -34,23 +35,12 @@ INTERRUPTED = 130
 _LOOK_S = 0.1
 _LINE_S = 1.0
 _DYING_S = 0.5
-_AFTERWARDS_NS = 300_000_000
-_LAG_S = 5.0
+_TIMEOUT_S = 30.0
+"""Time of the robot's clock in which the goal must be reached, s."""
 _SETTLE_S = 1.2
 """Time of the robot's clock that is recorded after the goal was reached, s."""
 _MISSED_SHARE = 0.02
 """More missed ticks than a robot's driver ever has: the machine does not simulate the arm in real time."""
-_RECORDED = (
-    topics.JOINT_STATES,
-    topics.COMMANDS,
-    topics.EXTERNAL_TORQUE,
-    topics.SIM_CONTACTS,
-    topics.SAFETY_STATE,
-    topics.DIAGNOSTICS,
-    topics.REFERENCE_POSE,
-    topics.GOAL_POSE,
-)
-"""Topics from which a demo is judged."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +54,6 @@ class DemoOptions:
     """With which the arm touches the ball."""
     goal: tuple[float, float, float] | None = None
     lockstep: bool = False
-    timeout: float = 30.0
-    """Time of the robot's clock in which the goal must be reached, s."""
     parameters: str = ""
     """Parameter file for the nodes; the package's own when empty."""
     view: bool = False
@@ -81,7 +69,7 @@ def run_demo(options: DemoOptions) -> int:
     Raises `ContactReachError` if the scene, the goal or the settings are refused.
     """
     code, summary = _run(options)
-    if options.lockstep or options.view or code in (0, INTERRUPTED) or summary is None or summary.success:
+    if options.lockstep or options.view or code in (0, INTERRUPTED) or summary is None:
         return code
     if summary.missed_ticks <= _MISSED_SHARE * (summary.ticks + summary.missed_ticks):
         return code
@@ -111,71 +99,58 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
             *(["driver:waits_for_goal=true"] if options.lockstep else []),
         ),
     )
-    table = processes(bringup)
-    interrupted, failure = False, ""
-    end_ns: int | None = None
+    interrupted, is_over, failure = False, False, ""
     with bare_node(DEMO) as node:
-        began = time.monotonic()
         goal = None if options.goal is None else np.array(options.goal)
-        model = RobotModel(stack_arm(bringup))
-        scene = make_scene(read_scene(options.scene), model.arm, options.seed, goal)
-        refuse_beside_another(node, [process.name for process in table], began)
-        options.output.mkdir(parents=True, exist_ok=True)
-        follower = Follower(node, model, scene.target, _RECORDED)
-        log = bag.with_suffix(".log")
-        with StackProcesses(follower, table, bringup.parameter_file, log) as stack:
+        scene = make_scene(read_scene(options.scene), stack_arm(bringup), options.seed, goal)
+        client = StackClient(node)
+        with StackProcesses(client, bringup, bag.with_suffix(".log")) as stack:
             try:
-                end_ns = _drive_to_goal(stack, follower, options)
+                _drive_to_goal(stack, client, scene.target, options.view)
+                is_over = True
                 if options.view:
                     _stay_up(stack)
             except KeyboardInterrupt:
                 # With the page, Ctrl-C ends a stack whose episode is over.
-                interrupted = end_ns is None or not options.view
+                interrupted = not is_over
             except ContactReachError as error:
                 failure = str(error)
             _say("ending the stack", done=True)
     if failure:
         print(f"demo: {failure}", file=sys.stderr)
-    summary = _judge(bag, end_ns, options)
+    summary = _judge(bag, options)
     if interrupted:
         return INTERRUPTED, summary
     code = 0 if summary is not None and summary.success and not failure else 1
     return code, None if failure else summary
 
 
-def _drive_to_goal(stack: StackProcesses, follower: Follower, options: DemoOptions) -> int:
-    """Send the goal and watch until it is reached, the arm is stopped or the time is over; returns the last stamp."""
+def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, view: bool) -> None:
+    """Send the goal (3,), m, and watch until it is reached or over, the arm is stopped or the time is up."""
     began = time.monotonic()
-    if options.view:
+    if view:
         _say(f"the page will be at {page_address(stack.parameter_file)}", done=True)
     stack.bring_up(lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
-    follower.wait_to_start(stack)
-    goal = np.round(follower.target, 3).tolist()
-    _say(f"stack active after {time.monotonic() - began:.1f} s; goal {goal} m", done=True)
-    follower.send_goal(follower.target, stamp_ns=follower.stamp_ns)
-    sent_ns = follower.stamp_ns
-    reached_ns: int | None = None
-    said_at = 0.0
-    while True:
-        stack.watch(_LOOK_S)
+    stack.wait_to_start(client)
+    _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)
+    client.send_goal(target, stamp_ns=stack.stamp_ns)
+    client.wait_for(lambda: [] if client.goal_state else [topics.GOAL_STATE.name])
+    end_ns, said_at = stack.stamp_ns + round(_TIMEOUT_S * NANOSECONDS), 0.0
+    while (state := client.goal_state) is not None:
         now = time.monotonic()
-        if sys.stdout.isatty() or now - said_at >= _LINE_S:
-            _say(follower.line(sent_ns), done=not sys.stdout.isatty())
-            said_at = now
-        if reached_ns is None and follower.distance <= SUCCESS_DISTANCE:
-            reached_ns = follower.stamp_ns
-        settled = reached_ns is not None and follower.stamp_ns - reached_ns > _SETTLE_S * NANOSECONDS
-        if follower.stops:
-            # When a dying process is the reason, it is named rather than the stop.
+        if client.stops or state.phase.is_over:
+            # When a dying process is the reason, it is named rather than what followed.
             stack.watch(_DYING_S)
-        if settled or follower.stops or follower.stamp_ns - sent_ns > options.timeout * NANOSECONDS:
-            _say(follower.line(sent_ns), done=True)
-            end_ns = follower.stamp_ns
-            # The bag's times may lag behind in simulated time: calls that end the stack must come after the end.
-            give_up = now + _LAG_S
-            while follower.stamp_ns < end_ns + _AFTERWARDS_NS and not follower.stops and time.monotonic() < give_up:
-                follower.spin(_LOOK_S)
-            return end_ns
+        if state.phase in (GoalPhase.REACHED, GoalPhase.SETTLED):
+            end_ns = min(end_ns, stack.stamp_ns + round(_SETTLE_S * NANOSECONDS))
+        is_over = bool(client.stops) or state.phase.is_over or stack.stamp_ns > end_ns
+        if is_over or sys.stdout.isatty() or now - said_at >= _LINE_S:
+            doing = f"stopped by {client.why_stopped}" if client.stops else client.safety[CONTROLLER]
+            _say(f"{describe(state)}; {doing}", done=is_over or not sys.stdout.isatty())
+            said_at = now
+        if is_over:
+            return
+        stack.watch(_LOOK_S)
 
 
 def _stay_up(stack: StackProcesses) -> None:
@@ -185,10 +160,10 @@ def _stay_up(stack: StackProcesses) -> None:
         stack.watch(_LOOK_S)
 
 
-def _judge(bag: Path, end_ns: int | None, options: DemoOptions) -> EpisodeSummary | None:
+def _judge(bag: Path, options: DemoOptions) -> EpisodeSummary | None:
     """Read the bag, print its numbers and write plot and JSON; None if there is nothing to judge."""
     try:
-        found = read_report_bag(bag, bag.name, end_ns, options.timeout, _SETTLE_S)
+        found = read_report_bag(bag, bag.name, _TIMEOUT_S, _SETTLE_S)
     except BagError as error:
         print(f"no summary of {bag}: {error}", file=sys.stderr)
         return None

@@ -15,7 +15,7 @@ from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import budget_file
 from contact_reach_ros.presets import SECTIONS, check_parameters
-from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, TUNABLE, VIEWER
+from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, VIEWER
 from contact_reach_ros.settings import RATE, ROBOT, check_values, parameters_in, parse_yaml
 from contact_reach_ros.simulation.settings import DriverSettings
 from contact_reach_ros.viewer.settings import VIEWER_SECTIONS, ViewerSettings
@@ -25,6 +25,8 @@ from contact_reach_ros.world.spheres import sphere_capacity
 ParameterValue = bool | int | float | str | list[str]
 
 ENCLAVES = "/contact_reach"
+_TUNABLE = ("planner", "controller", "observer", "driver")
+"""Nodes whose parameters `BringupOptions.overrides` may set."""
 
 
 class Wave(IntEnum):
@@ -67,16 +69,16 @@ class Process:
 def _overrides(texts: Sequence[str], arm: Arm) -> dict[str, dict[str, ParameterValue]]:
     """Parameters by node, from texts node:parameter=value, the value as YAML.
 
-    Raises `SettingsError` if a text has another form, the node is not one of `TUNABLE`, has no such parameter, or does
+    Raises `SettingsError` if a text has another form, the node is not one of `_TUNABLE`, has no such parameter, or does
     not accept the value.
     """
-    found: dict[str, dict[str, ParameterValue]] = {name: {} for name in TUNABLE}
+    found: dict[str, dict[str, ParameterValue]] = {name: {} for name in _TUNABLE}
     for text in texts:
         node, colon, rest = text.partition(":")
         name, equals, written = rest.partition("=")
-        if not (colon and equals and name and node in TUNABLE):
+        if not (colon and equals and name and node in _TUNABLE):
             raise SettingsError(
-                f"override '{text}': expected node:parameter=value with one of {', '.join(TUNABLE)} as the node"
+                f"override '{text}': expected node:parameter=value with one of {', '.join(_TUNABLE)} as the node"
             )
         try:
             value = parse_yaml(written)

@@ -8,24 +8,31 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from lifecycle_msgs.srv import GetState
 from sensor_msgs.msg import JointState
 
-from contact_reach_ros.bringup.processes import Process, Wave
+from contact_reach_ros.bringup.processes import BringupOptions, Process, Wave, processes
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.executables import end_with_parent
 from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.resources import PACKAGE
-from contact_reach_ros.ros.client import CONTROLLER, Client
+from contact_reach_ros.ros.client import CONTROLLER, Client, StackClient
 from contact_reach_ros.ros.graph import refuse_beside_another
+from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.ros.scheduling import prioritise_middleware
 from contact_reach_ros.settings import as_arguments, namespace_arguments
 
 _ACTIVE = "active"
+_BRAKED = "braked"
+"""Safety state of the simulated driver while its brakes are closed."""
 _STARTUP_S = 240.0
 """The first start compiles the planner."""
+_READY_S = 60.0
+"""For nodes that are up to hear each other, and for the brakes to open."""
 _POLL_S = 0.1
 _REST_SPEED = 0.02
 _REST_TIMEOUT_S = 2.0
@@ -39,7 +46,7 @@ class StackError(ContactReachError):
 
 
 class StackProcesses:
-    """The processes of the running stack, which end with the context that this manages.
+    """The processes of a stack, which end with the context that this manages; it is not entered beside another stack.
 
     From its creation on SIGINT and SIGTERM are only noted, and `check` raises `KeyboardInterrupt`. Python would raise
     it anywhere, also where rclpy's C++ makes a Python object and then reports another error, and a second Ctrl-C would
@@ -49,21 +56,30 @@ class StackProcesses:
     ----------
     client
         For services and topics.
-    table
-        From `processes`.
-    parameter_file
-        Given to every process.
+    options
+        What to start.
     log
-        File for the output of the processes; their own terminal when None.
+        File for the output of the processes, whose folder is made; their own terminal when None.
     passed_on
         ROS arguments for every process, such as remappings. All have the node's namespace.
+
+    Attributes
+    ----------
+    stamp_ns
+        Of the newest joint state, ns.
+
+    Raises
+    ------
+    SceneError, SettingsError
+        As `processes`.
+    InputError
+        Where it is entered beside another stack.
     """
 
     def __init__(
         self,
         client: Client,
-        table: Sequence[Process],
-        parameter_file: Path,
+        options: BringupOptions,
         log: Path | None = None,
         passed_on: Sequence[str] = (),
     ) -> None:
@@ -72,16 +88,22 @@ class StackProcesses:
         self._interrupted = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._interrupt)
-        self._table = list(table)
-        self.parameter_file = parameter_file
+        self._table = processes(options)
+        self._names = [process.name for process in self._table]
+        self.parameter_file = options.parameter_file
         self._log_path = log
-        self._log = None if log is None else log.open("wb")
+        self._log: BinaryIO | None = None
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._optional: set[str] = set()
+        self.stamp_ns = 0
         self._speed = float("nan")
         client.inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST)
 
     def __enter__(self) -> StackProcesses:
+        refuse_beside_another(self.client.node, self._names)
+        if self._log_path is not None:
+            self._log_path.parent.mkdir(parents=True, exist_ok=True)
+            self._log = self._log_path.open("wb")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -117,12 +139,12 @@ class StackProcesses:
         for wave in Wave:
             if wave is Wave.LOOPS:
                 # Once more: discovery has settled while the first processes got ready.
-                refuse_beside_another(self.client.node, [each.name for each in self._table], 0.0, self._running)
-            processes = [process for process in self._table if process.wave is wave]
-            for process in processes:
+                refuse_beside_another(self.client.node, self._names, self._running, patience=0.0)
+            started = [process for process in self._table if process.wave is wave]
+            for process in started:
                 self._start(process)
-            self._wait_active([process.name for process in processes], deadline, progress)
-            self._optional |= {process.name for process in processes if not process.essential}
+            self._wait_active([process.name for process in started], deadline, progress)
+            self._optional |= {process.name for process in started if not process.essential}
 
     def _wait_active(self, names: Sequence[str], deadline: float, progress: Callable[[str], None]) -> None:
         missing = dict.fromkeys(names, "not asked yet")
@@ -134,6 +156,23 @@ class StackProcesses:
             missing |= {name: self._state_of(name) for name in missing}
             missing = {name: state for name, state in missing.items() if state != _ACTIVE}
             self.watch(_POLL_S)
+
+    def wait_to_start(self, client: StackClient) -> None:
+        """Wait until goals move the simulated arm, and the recorder, if there is one, hears them.
+
+        Raises `ContactReachError` if a process died, something stopped the arm, or it takes too long.
+        """
+
+        def missing() -> list[str]:
+            self.check()
+            if client.stops:
+                raise StackError(f"stopped by {client.why_stopped}")
+            brakes = ["open brakes of the driver"] if client.safety.get("driver", _BRAKED) == _BRAKED else []
+            recorded = (topics.GOAL_POSE, topics.JOINT_STATES) if RECORDER in self._names else ()
+            unheard = [f"{topic.name} by the {RECORDER}" for topic in recorded if not client.hears(RECORDER, topic)]
+            return [*client.missing(), *brakes, *unheard]
+
+        client.wait_for(missing, _READY_S)
 
     def watch(self, seconds: float) -> None:
         """Serve the node for a while, then `check`."""
@@ -219,4 +258,5 @@ class StackProcesses:
         self.client.until(lambda: not self._speed > _REST_SPEED, _REST_TIMEOUT_S)
 
     def _on_state(self, message: JointState) -> None:
+        self.stamp_ns = nanoseconds(message.header.stamp)
         self._speed = float(np.abs(message.velocity).max()) if message.velocity else float("nan")

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.resources import write_text
 
 
@@ -61,14 +59,6 @@ def graded(found: str, fix: str, *, fail: bool = False, warn: bool = False) -> F
 def failed(found: str, fix: str) -> Finding:
     """Make a finding that must be fixed before a run."""
     return Finding(Verdict.FAIL, found, fix)
-
-
-def attempt(check: Callable[..., Finding], *args: Any) -> Finding:
-    """Make a check; it fails where it raises `ContactReachError` or `OSError`."""
-    try:
-        return check(*args)
-    except (ContactReachError, OSError) as error:
-        return failed(str(error), "correct what the message names")
 
 
 def verdicts(report: Report) -> Counter[Verdict]:

@@ -17,19 +17,17 @@ from typing import Any
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.bringup.follower import Follower
-from contact_reach_ros.bringup.processes import BringupOptions, processes
+from contact_reach_ros.bringup.processes import BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.messages import topics
-from contact_reach_ros.report.summary import SUCCESS_DISTANCE
+from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.resources import write_text
+from contact_reach_ros.ros.client import CONTROLLER, StackClient
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import load_scene
 
 NAME = "fitness"
-DRIVER, CONTROLLER = "driver", "controller"
-"""Nodes whose counters are read."""
+DRIVER = "driver"
 SCENE = "ball"
 """Where the arm moves to and fro between its start and the target."""
 
@@ -70,47 +68,46 @@ def run_fitness(file: Path | None = None, seconds: float = 60.0, load: int = 0) 
     directory = Path(tempfile.mkdtemp(prefix=f"{NAME}_"))
     options = BringupOptions(scene=SCENE, bag=str(directory / "bag"))
     with bare_node(NAME) as node:
-        recorded = (topics.JOINT_STATES, topics.COMMANDS)
-        follower = Follower(node, RobotModel(scene.arm), scene.target, recorded=recorded)
-        table, log = processes(options), directory / "log"
-        with StackProcesses(follower, table, options.parameter_file, log) as stack:
-            report = {"seconds": seconds, "load": load, **_measure(seconds, load, stack, follower)}
+        client = StackClient(node)
+        start, _ = RobotModel(scene.arm).tip_pose(scene.start)
+        goals = itertools.cycle([scene.target, start])
+        with StackProcesses(client, options, directory / "log") as stack:
+            report = {"seconds": seconds, "load": load, **_measure(seconds, load, stack, client, goals)}
     shutil.rmtree(directory)
     print_report(report)
     if file is not None:
         write_text(file, json.dumps(report, indent=2) + "\n")
 
 
-def _measure(seconds: float, load: int, stack: StackProcesses, follower: Follower) -> dict[str, Any]:
+def _measure(
+    seconds: float, load: int, stack: StackProcesses, client: StackClient, goals: Iterator[Array]
+) -> dict[str, Any]:
     began = time.monotonic()
     stack.bring_up(lambda line: None)
-    follower.wait_to_start(stack)
+    stack.wait_to_start(client)
     up = f"stack active after {time.monotonic() - began:.1f} s; {seconds:g} s beside {load} programs"
     print(up, file=sys.stderr, flush=True)
     with _hogs(load):
-        goals = itertools.cycle([follower.target, follower.position.copy()])
-        _drive(stack, follower, goals, _SETTLE_S)
-        first = {name: follower.diagnostics[name] for name in (DRIVER, CONTROLLER)}
-        reached = _drive(stack, follower, goals, seconds)
-        last = {name: follower.diagnostics[name] for name in (DRIVER, CONTROLLER)}
+        _drive(stack, client, goals, _SETTLE_S)
+        first = {name: client.diagnostics[name] for name in (DRIVER, CONTROLLER)}
+        reached = _drive(stack, client, goals, seconds)
+        last = {name: client.diagnostics[name] for name in (DRIVER, CONTROLLER)}
     return {**timing_between(first, last), "goals_reached": reached}
 
 
-def _drive(stack: StackProcesses, follower: Follower, goals: Iterator[Array], seconds: float) -> int:
+def _drive(stack: StackProcesses, client: StackClient, goals: Iterator[Array], seconds: float) -> int:
     """Send one goal after the other for some seconds; returns how many were reached."""
     end, due, reached = time.monotonic() + seconds, 0.0, 0
-    follower.distance = float("nan")
+    client.goal_state = None
     while time.monotonic() < end:
-        arrived = follower.distance <= SUCCESS_DISTANCE
+        arrived = client.goal_state is not None and client.goal_state.phase in (GoalPhase.REACHED, GoalPhase.SETTLED)
         if arrived or time.monotonic() > due:
             reached += arrived
-            follower.target = next(goals)
-            follower.send_goal(follower.target, stamp_ns=follower.stamp_ns)
+            client.send_goal(next(goals))
             due = time.monotonic() + _GOAL_S
-            follower.distance = float("nan")
         stack.watch(_LOOK_S)
-        if follower.stops:
-            raise StackError(follower.state)
+        if client.stops:
+            raise StackError(f"stopped by {client.why_stopped}")
     return reached
 
 

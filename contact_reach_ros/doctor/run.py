@@ -3,32 +3,28 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
-from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arms import arm_in, load_arm
+from contact_reach_ros.arms import arm_in
 from contact_reach_ros.doctor import arm as joints
 from contact_reach_ros.doctor import machine
 from contact_reach_ros.doctor.findings import (
     Finding,
     Report,
     Verdict,
-    attempt,
     exit_code,
     failed,
     print_table,
     write_json,
 )
-from contact_reach_ros.errors import ContactReachError, SettingsError
+from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.presets import check_parameters
 from contact_reach_ros.resources import config_file
-from contact_reach_ros.settings import DEFAULT_PARAMETERS, NODES, parameters_in
+from contact_reach_ros.settings import DEFAULT_PARAMETERS, NODES, RATE, parameters_in
 
 _LISTEN_S = 1.0
 
@@ -41,26 +37,18 @@ def run_doctor(parameters: Path | None = None, discovery: str = "host", file: Pa
     """
     console, used = Console(), parameters or config_file(DEFAULT_PARAMETERS)
     with console.status("looking at this machine and its software ..."):
-        try:
-            arm = arm_in(parameters_in(used, "planner"), str(used))
-        except SettingsError:
-            # The check of the file says why.
-            arm = load_arm()
-        report = examine(used, discovery, arm)
+        report = examine(used, discovery)
     print_table(report, console)
     if file is not None:
         write_json(report, file)
     return exit_code(report)
 
 
-def examine(file: Path, discovery: str, arm: Arm) -> Report:
+def examine(file: Path, discovery: str) -> Report:
     """Make all checks, of the nodes with a parameter file."""
     report = {
-        "machine": {
-            "real-time priority": attempt(machine.realtime_permission),
-            "timer at 1 kHz": attempt(machine.timer_jitter),
-        },
-        "software": {"parameters": attempt(_parameters, file)},
+        "machine": {"timer at 1 kHz": machine.timer_jitter()},
+        "software": {"parameters": _parameters(file)},
     }
     try:
         # rclpy is only needed, and only has to be installed, for what follows.
@@ -72,37 +60,40 @@ def examine(file: Path, discovery: str, arm: Arm) -> Report:
         report["software"]["rclpy"] = failed(f"cannot be imported ({error}): no node can run", fix)
         return report
     os.environ.update(environment(discovery))
-    report["software"]["discovery"] = attempt(stack.discovery_in_use)
+    report["software"]["discovery"] = stack.discovery_in_use()
     try:
-        graph, record = stack.look_around(discovery, _LISTEN_S, arm)
+        graph, heard = stack.look_around(discovery, _LISTEN_S)
     except ContactReachError as error:
         fix = "see whether the middleware works: RMW_IMPLEMENTATION, ROS_DOMAIN_ID, the Fast DDS profile file"
         report["stack"] = {"nodes": failed(str(error), fix)}
         return report
-    report["stack"] = {"nodes": attempt(stack.nodes, graph)}
+    report["stack"] = {"nodes": stack.nodes(graph)}
     if graph.running:
-        report["stack"]["safety state"] = attempt(stack.safety_state, graph)
-        report["topics"] = {topic.name: attempt(stack.topic, graph, topic) for topic in topics.ALL}
-        settings = graph.settings.get("controller", parameters_in(file, "controller"))
+        report["stack"]["safety state"] = stack.safety_state(graph)
+        report["topics"] = {topic.name: stack.topic(graph, topic) for topic in topics.ALL}
+        try:
+            settings = graph.settings.get("controller") or parameters_in(file, "controller")
+            arm = arm_in(settings, "the controller")
+            budget = load_budget(parameters_in(file, "observer").get("contact_budget", "")).resolve(arm)
+        except ContactReachError:
+            # The check of the file says why.
+            return report
+        record = stack.joint_record(heard, arm)
         report["arm"] = {
-            "joint names and order": attempt(joints.joint_names, record, arm, graph.command_order),
-            "gravity against torque": attempt(_gravity, record, file, settings),
+            "joint names and order": joints.joint_names(record, arm, graph.command_order),
+            "gravity against torque": joints.gravity(record, RobotModel(arm), budget),
         }
         # Simulated time may run at any speed.
         if not graph.publishers[topics.CLOCK.name]:
-            report["arm"]["driver rate"] = attempt(joints.driver_rate, record, graph.nominal_rate)
-            report["arm"]["clocks"] = attempt(joints.clock_skew, record)
+            report["arm"]["driver rate"] = joints.driver_rate(record, settings.get(RATE.name, RATE.default))
+            report["arm"]["clocks"] = joints.clock_skew(record)
     return report
 
 
 def _parameters(file: Path) -> Finding:
-    """Check the whole parameter file as bring-up does; raises `ContactReachError` where it would not start."""
-    check_parameters(file)
+    """Check the whole parameter file as bring-up does."""
+    try:
+        check_parameters(file)
+    except ContactReachError as error:
+        return failed(str(error), "correct what the message names")
     return Finding(Verdict.PASS, f"{file}: valid for {', '.join(NODES)}")
-
-
-def _gravity(record: joints.JointRecord, file: Path, settings: Mapping[str, Any]) -> Finding:
-    """`settings`: the controller's, with the arm and its tool."""
-    arm = arm_in(settings, "the controller")
-    budget = load_budget(parameters_in(file, "observer").get("contact_budget", "")).resolve(arm)
-    return joints.gravity(record, RobotModel(arm), budget)

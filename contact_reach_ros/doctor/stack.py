@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -34,7 +34,6 @@ from contact_reach_ros.ros.discovery import reach
 from contact_reach_ros.ros.graph import full_name, node_of
 from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, DOCTOR, INTERFACES, MANAGED, VIEWER
 from contact_reach_ros.ros.process import bare_node
-from contact_reach_ros.timing import PERIOD
 
 _NEEDED_NODES = ("controller", "observer", "planner")
 """A real robot's driver may have any name; recorder and bring-up are not needed."""
@@ -48,6 +47,9 @@ _ANYTHING = Qos(2000, reliable=False)
 _SETTLED_S = 3.5
 """A participant announces itself every three seconds; where the first answer was lost it is found no sooner."""
 _MATCHING_S = 1.0
+
+Heard = Sequence[tuple[JointState, int]]
+"""Joint states, and when each arrived on the system clock, ns."""
 
 
 class Endpoint(NamedTuple):
@@ -87,12 +89,6 @@ class Graph:
     command_order: Sequence[str] | None = None
 
     @property
-    def nominal_rate(self) -> float:
-        """Of joint states, Hz: what the controller reports, or else the default."""
-        rate = self.settings.get("controller", {}).get("state_rate")
-        return rate if isinstance(rate, float) else 1.0 / PERIOD
-
-    @property
     def requires_observer(self) -> bool:
         """Whether the controller starts an arm only while an observer watches it."""
         return self.settings.get("controller", {}).get("supervision.require_observer") is not False
@@ -105,7 +101,7 @@ class Graph:
         )
 
 
-def look_around(discovery: str, seconds: float, arm: Arm) -> tuple[Graph, JointRecord]:
+def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
     """Look at the stack with a node of its own; returns its graph and the joint states that came.
 
     Raises `ContactReachError` if ROS does not start a node.
@@ -116,8 +112,6 @@ def look_around(discovery: str, seconds: float, arm: Arm) -> tuple[Graph, JointR
         How far to look, one of `discovery.CHOICES`.
     seconds
         How long to listen, if anything is there.
-    arm
-        Whose joint states are expected.
     """
     with bare_node(DOCTOR, discovery) as node:
         client = Client(node)
@@ -134,19 +128,12 @@ def look_around(discovery: str, seconds: float, arm: Arm) -> tuple[Graph, JointR
         safety: dict[str, DiagnosticStatus] = {}
         settings: dict[str, Mapping[str, Any]] = {}
         heard: list[tuple[JointState, int]] = []
-        _hear(client, topics.SAFETY_STATE, topics.ALL_EVENTS, lambda status: safety.update({status.name: status}))
-        _hear(
-            client,
-            topics.SETTINGS,
-            topics.ALL_EVENTS,
-            lambda status: settings.update({status.name: read_settings(status)}),
+        inbox = client.inbox
+        inbox.add(topics.SAFETY_STATE, lambda status: safety.update({status.name: status}), topics.ALL_EVENTS)
+        inbox.add(
+            topics.SETTINGS, lambda status: settings.update({status.name: read_settings(status)}), topics.ALL_EVENTS
         )
-        _hear(
-            client,
-            topics.JOINT_STATES,
-            _ANYTHING,
-            lambda state: heard.append((state, client.inbox.received_ns or time.time_ns())),
-        )
+        inbox.add(topics.JOINT_STATES, lambda state: heard.append((state, inbox.received_ns)), _ANYTHING)
         # What comes before every subscription is matched is no measure of rates.
         client.spin(_MATCHING_S)
         heard.clear()
@@ -161,7 +148,7 @@ def look_around(discovery: str, seconds: float, arm: Arm) -> tuple[Graph, JointR
             order,
         )
         client.close()
-    return graph, _joint_record(heard, arm)
+    return graph, heard
 
 
 def _ask(client: Client, service: str, kind: Any, request: Any) -> Any:
@@ -172,15 +159,8 @@ def _ask(client: Client, service: str, kind: Any, request: Any) -> Any:
         return None
 
 
-def _hear(client: Client, topic: Topic, qos: Qos, handle: Callable[[Any], None]) -> None:
-    """Subscribe, if somebody publishes messages of the topic's type."""
-    infos = client.node.get_publishers_info_by_topic(topic.name)
-    if any(info.topic_type == topic.type_name for info in infos):
-        client.inbox.add(topic, handle, qos)
-
-
-def _joint_record(heard: Sequence[tuple[JointState, int]], arm: Arm) -> JointRecord:
-    """Joint states with their arrival on the system clock, ns, as arrays."""
+def joint_record(heard: Heard, arm: Arm) -> JointRecord:
+    """Joint states of an arm as arrays."""
 
     def column(name: str) -> Any:
         """Values of the arm's joints in its order, NaN for those that a message lacks."""

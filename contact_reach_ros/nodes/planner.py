@@ -33,7 +33,7 @@ from contact_reach_ros.planning.planner import Planner
 from contact_reach_ros.planning.receding_horizon import Memory, RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PLANNER_SECTIONS, PlannerNodeSettings
 from contact_reach_ros.ros.frames import Frames
-from contact_reach_ros.ros.graph import commanders_that_hear
+from contact_reach_ros.ros.graph import controllers
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import settings_of
@@ -119,7 +119,7 @@ class PlannerNode(ManagedNode):
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Goals, solve times, obstacles, and what the planner waits for; `plan/statistics` has the plans."""
-        heard_by = commanders_that_hear(self, (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE))
+        heard_by = controllers(self)
         values: dict[str, Any] = {
             "heard by": ", ".join(heard_by),
             "goals": self._goals,

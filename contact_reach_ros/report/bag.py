@@ -107,9 +107,7 @@ class ReportBag:
         return (begin if self.episode is None else max(begin, self.episode.shown_from)) - self.zero
 
 
-def read_report_bag(
-    path: Path, label: str, end_ns: int | None = None, timeout: float = np.inf, settle: float = np.inf
-) -> ReportBag:
+def read_report_bag(path: Path, label: str, timeout: float = np.inf, settle: float = np.inf) -> ReportBag:
     """Read a bag, complete or not; raises `BagError` if the file is not a bag.
 
     Parameters
@@ -118,8 +116,6 @@ def read_report_bag(
         The bag.
     label
         Its name on the page.
-    end_ns
-        Stamp at which the run ended, ns; None for the end of the recording, or the shutdown of the stack.
     timeout, settle
         As for `Episode`.
     """
@@ -143,7 +139,7 @@ def read_report_bag(
     limits = recorded_section(signals, "controller", "limits", LimitSettings(), notes)
     calls = [event.time for event in signals.safety if event.message == CALLED]
     last = float(signals.position.time[-1]) if len(signals.position.time) else 0.0
-    end = min([*calls[:1], last]) if end_ns is None else (end_ns - signals.origin_ns) / NANOSECONDS
+    end = min([*calls[:1], last])
     episode: Episode | None = None
     try:
         episode = Episode(signals, arm, end, timeout, settle)

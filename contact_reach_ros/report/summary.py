@@ -164,7 +164,8 @@ class Episode:
         """Each stop once, however often it was repeated."""
         stops: dict[tuple[str, str], float] = {}
         for event in self._signals.safety:
-            if event.is_stop and event.time <= self._end:
+            # The stop that ends the run as planned is none of them.
+            if event.is_stop and event.time < self._end:
                 stops.setdefault((event.name, event.message), event.time)
         return [
             {"time_s": time - self.start, "source": source, "reason": reason}

@@ -40,14 +40,13 @@ _SERVICE_S = 1.0
 _ANSWER_S = 3.0
 _SETTLED_S = 1.0
 """Time in which the rest of a node's last safety states follows the first, and other nodes are discovered."""
-_JUDGED_S = 8.0
-"""Longest time until diagnostics, which come once a second, show whether a goal is taken."""
+_FOLLOWED_S = 8.0
+"""Longest time until diagnostics, which come once a second, show that the controller follows a goal's plans."""
 _SILENCE_S = 5.0
 _REST_S = 5.0
 """Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
 
-_FOLLOWED = "plans accepted"
-_REFUSED = (f"refused {topics.REFERENCE_POSE.contents}", "refused plans")
+_NOT_READY = (topics.WAITING_FOR_STATE, topics.WAITING_FOR_OBSTACLES, topics.WAITING_FOR_CONTROLLER)
 _NOTHING = "nothing is stopped"
 
 
@@ -172,7 +171,7 @@ class StackClient(Client):
     stops
         What stopped the arm, by node.
     safety
-        What the controller does.
+        Newest message of the safety state, of each node.
     settings
         Of each node that reported them, by full name.
     goal_state
@@ -185,11 +184,10 @@ class StackClient(Client):
         self.diagnostics: dict[str, dict[str, str]] = {}
         self.summaries: dict[str, str] = {}
         self.stops: dict[str, str] = {}
-        self.safety = "starting"
+        self.safety: dict[str, str] = {}
         self.settings: dict[str, dict[str, Any]] = {}
         self.goal_state: GoalState | None = None
         self._goal_ns = 0
-        self._heard: set[str] = set()
         topic = topics.GOAL_POSE
         self._goals = node.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
@@ -203,33 +201,31 @@ class StackClient(Client):
         return any(endpoint.node_name == name for endpoint in found)
 
     def missing(self) -> list[str]:
-        """Topics on which something is not heard yet that goals need."""
+        """What is not heard yet that goals need, by topic."""
+        summary = self.summaries.get(PLANNER, "")
         heard = {
             f"{topics.DIAGNOSTICS.name} of the {PLANNER}": PLANNER in self.diagnostics,
             f"{topics.SETTINGS.name} of the {PLANNER}": PLANNER in self.settings,
             f"{topics.GOAL_POSE.name} by the {PLANNER}": self.hears(PLANNER, topics.GOAL_POSE),
             f"{topics.DIAGNOSTICS.name} of the {CONTROLLER}": CONTROLLER in self.diagnostics,
+            f"{topics.REFERENCE_POSE.name}, as the {PLANNER} is {summary}": summary not in _NOT_READY,
         }
         return [what for what, is_heard in heard.items() if not is_heard]
 
-    def find(self) -> None:
-        """Wait for a node that reports a safety state; raises `ContactReachError` if there is none in some seconds."""
-        if not self.until(lambda: self.node.count_publishers(topics.SAFETY_STATE.name) > 0, _FOUND_S):
+    def wait_for(self, missing: Callable[[], Collection[str]], timeout: float = _FOUND_S) -> None:
+        """Wait until nothing is missing any more, for `timeout`, s; nodes that are up are heard in the default time.
+
+        Raises `ContactReachError` with what is missing then, and where it was looked for.
+        """
+        if not self.until(lambda: not missing(), timeout):
             domain, namespace = os.environ.get("ROS_DOMAIN_ID", "0"), self.node.get_namespace()
             raise ContactReachError(
-                f"no stack answers in ROS domain {domain}, namespace {namespace}: start one with 'contact-reach up', "
-                "or set ROS_DOMAIN_ID to its domain, and --namespace and --discovery to what it was started with"
+                f"not heard in ROS domain {domain}, namespace {namespace}: {', '.join(missing())}; start a stack with "
+                "'contact-reach up', set ROS_DOMAIN_ID, --namespace and --discovery to those of one that is running, "
+                "or run contact-reach doctor"
             )
 
-    def wait_for(self, missing: Callable[[], Collection[str]], timeout: float | None = None) -> None:
-        """Wait until nothing is missing any more, for `timeout`, s, or long enough for nodes that are up.
-
-        Raises `ContactReachError` with what is missing then.
-        """
-        if not self.until(lambda: not missing(), timeout or _FOUND_S):
-            raise ContactReachError(f"not heard: {', '.join(missing())}; run contact-reach doctor")
-
-    def hear_everybody(self) -> None:
+    def hear_stops(self) -> None:
         """Wait until the safety states of the controller and of all who publish one are known.
 
         Raises `ContactReachError` if the controller does not report it.
@@ -237,11 +233,10 @@ class StackClient(Client):
         name = topics.SAFETY_STATE.name
 
         def everybody() -> bool:
-            return CONTROLLER in self._heard and len(self._heard) >= self.node.count_publishers(name)
+            return CONTROLLER in self.safety and len(self.safety) >= self.node.count_publishers(name)
 
         self.until(everybody, _FOUND_S)
-        if CONTROLLER not in self._heard:
-            raise ContactReachError(f"not heard: {name} of the {CONTROLLER}; run contact-reach doctor")
+        self.wait_for(lambda: [] if CONTROLLER in self.safety else [f"{name} of the {CONTROLLER}"], 0.0)
         # The last events of each come first, perhaps in pieces: of a stop before that of its release.
         self.spin(_SETTLED_S)
         self.until(everybody, _FOUND_S)
@@ -254,45 +249,45 @@ class StackClient(Client):
         """
         give_up = time.monotonic() + timeout
         answers: list[str] = []
-        self.hear_everybody()
-        while self.stops:
+        while True:
+            self.hear_stops()
+            if not self.stops:
+                return Outcome(True, "; ".join(answers) or _NOTHING)
             outcome = self.release(self.stops)
-            answers = [*answers, outcome.text] if outcome.done else answers
+            if outcome.done:
+                answers.append(outcome.text)
             if time.monotonic() > give_up:
-                return outcome if not outcome.done else Outcome(True, "; ".join(answers))
-            self.hear_everybody()
-        return Outcome(True, "; ".join(answers) or _NOTHING)
+                return Outcome(True, "; ".join(answers)) if outcome.done else outcome
 
     def go(self, position: Array, rotation: Array | None) -> Outcome:
-        """Send a goal (3,), m, (3, 3), unless the arm is stopped; returns whether it is taken."""
-        self.hear_everybody()
+        """Send a goal (3,), m, (3, 3), unless the arm is stopped; returns whether it is taken.
+
+        It is when the planner pursues it and the controller has accepted a plan since.
+        """
+        self.hear_stops()
         if self.stops:
             return Outcome(False, f"not sent, the arm is stopped: {self.why_stopped}; first: contact-reach reset")
-        before = self.diagnostics[CONTROLLER]
+        before = self._plans_accepted()
         self.send_goal(position, rotation)
 
-        self.until(lambda: self.judge_goal(before) is not None, _JUDGED_S)
-        return self.judge_goal(before) or Outcome(False, "nothing followed the goal; run contact-reach doctor")
+        def is_judged() -> bool:
+            state = self.goal_state
+            return bool(self.stops) or (state is not None and (state.phase.is_over or self._plans_accepted() > before))
 
-    def judge_goal(self, before: Mapping[str, str]) -> Outcome | None:
-        """Judge whether the goal that was sent is taken; `before` are the controller's diagnostics from before it.
-
-        None while that is open.
-        """
+        self.until(is_judged, _FOLLOWED_S)
         if self.stops:
             return Outcome(False, f"stopped: {self.why_stopped}")
         if self.goal_state is None:
-            return None
+            return Outcome(False, "nothing heard of the goal; run contact-reach doctor")
         if self.goal_state.phase.is_over:
             return Outcome(False, f"the planner did not take the goal: {describe(self.goal_state)}")
-        now = self.diagnostics[CONTROLLER]
-        grown = {key for key in (_FOLLOWED, *_REFUSED) if int(now.get(key, 0)) > int(before.get(key, 0))}
-        if _FOLLOWED in grown:
-            return Outcome(True, "the goal is taken: the controller follows the plans for it")
-        if grown:
-            reasons = [now.get(key.replace("refused", "last refusal of"), "") for key in sorted(grown)]
-            return Outcome(False, f"the controller refuses the plans for the goal: {'; '.join(reasons)}")
-        return None
+        if self._plans_accepted() == before:
+            reported = self.diagnostics[CONTROLLER].items()
+            reasons = "; ".join(text for key, text in reported if key.startswith("last refusal"))
+            return Outcome(
+                False, f"the controller accepts no plan for the goal: {reasons or 'run contact-reach doctor'}"
+            )
+        return Outcome(True, "the goal is taken: the controller follows the plans for it")
 
     def send_goal(self, position: Array, rotation: Array | None = None, stamp_ns: int | None = None) -> None:
         """Publish a goal (3,), m, (3, 3), stamped with the present time by default."""
@@ -320,6 +315,9 @@ class StackClient(Client):
         """Which nodes stopped the arm, and why; empty if none did."""
         return "; ".join(f"{name}: {reason}" for name, reason in self.stops.items())
 
+    def _plans_accepted(self) -> int:
+        return int(self.diagnostics[CONTROLLER].get("plans accepted", 0))
+
     def _on_goal_state(self, message: DiagnosticStatus) -> None:
         stamp_ns, state = read_goal_state(message)
         if stamp_ns == self._goal_ns:
@@ -331,12 +329,10 @@ class StackClient(Client):
             self.arm = arm_in(settings, PLANNER)
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
-        self._heard.add(message.name)
+        self.safety[message.name] = message.message
         self.stops.pop(message.name, None)
         if is_stopped(message):
             self.stops[message.name] = message.message
-        if message.name == CONTROLLER:
-            self.safety = message.message
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -346,11 +342,14 @@ class StackClient(Client):
 
 @contextmanager
 def connect(discovery: str = "host", namespace: str = "") -> Iterator[StackClient]:
-    """A client of the stack that is found within `discovery`, in a namespace; raises as `StackClient.find`."""
+    """A client of the stack that is found within `discovery`, in a namespace.
+
+    Raises `ContactReachError` if no node reports a safety state.
+    """
     with bare_node(OPERATOR, discovery, [OPERATOR, *in_namespace(namespace)]) as node:
-        client = StackClient(node)
+        client, name = StackClient(node), topics.SAFETY_STATE.name
         try:
-            client.find()
+            client.wait_for(lambda: [] if node.count_publishers(name) else [f"{name} of any node"])
             yield client
         finally:
             client.close()

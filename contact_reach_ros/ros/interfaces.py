@@ -37,9 +37,6 @@ DOCTOR = "contact_reach_doctor"
 OPERATOR = "operator"
 """The node of contact-reach goto, home, identify, speed, stop and reset."""
 
-TUNABLE = ("planner", "controller", "observer", "driver")
-"""Nodes whose parameters a restart of the stack may change."""
-
 STOPPABLE = ("controller", "observer", ADAPTER, "driver")
 """Nodes with the services ~/stop and ~/reset; a reset begins with the last one."""
 
@@ -138,12 +135,12 @@ INTERFACES = {
     **MANAGED,
     "bringup": _node([], [topics.JOINT_STATES], [], [*(f"{name}/get_state" for name in MANAGED), "controller/stop"]),
     DOCTOR: _node(
-        [], topics.ALL, calls=[f"{name}/{service}" for name in MANAGED for service in ("get_state", "get_parameters")]
+        [], topics.ALL, calls=[*(f"{name}/get_state" for name in MANAGED), "effort_controller/get_parameters"]
     ),
     OPERATOR: _node(
         [topics.GOAL_POSE],
         [topics.GOAL_STATE, *_REPORTS, topics.SETTINGS, topics.JOINT_STATES],
-        calls=[*_STOP_AND_RESET, *(f"{name}/set_parameters_atomically" for name in (*TUNABLE, ADAPTER))],
+        calls=[*_STOP_AND_RESET, "planner/set_parameters_atomically"],
     ),
     REPLAY: _node([topic._replace(name=f"{REPLAY}/{topic.name}") for topic in topics.ALL], []),
 }

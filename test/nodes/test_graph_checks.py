@@ -31,7 +31,6 @@ GOOD = Graph(
     subscriptions=endpoints("subscribes"),
     states=dict.fromkeys(STACK, "active"),
     safety=[("controller", "holding", False), ("observer", "monitoring", False)],
-    settings={name: {"impedance.task_stiffness": 880.0, "state_rate": 500.0} for name in ("controller", "planner")},
 )
 
 

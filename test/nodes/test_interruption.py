@@ -11,13 +11,14 @@ from unittest.mock import Mock
 import pytest
 from stack_helpers import environment, running, wait_for
 
+from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 
 
 @pytest.mark.usefixtures("signal_handlers")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_is_raised_where_it_is_asked_for_and_ignored_while_all_is_ended(number):
-    stack = StackProcesses(Mock(), [], Path("none.yaml"))
+    stack = StackProcesses(Mock(), BringupOptions())
     stack.check()
     os.kill(os.getpid(), number)
     for _ in range(2):

@@ -1,7 +1,7 @@
 """Nobody else may command the arm, or publish what it is commanded by."""
 
-from collections import Counter
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 import rclpy
@@ -19,7 +19,7 @@ from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.observer import ObserverNode
 from contact_reach_ros.nodes.planner import PlannerNode
-from contact_reach_ros.ros.graph import UNKNOWN_NODE, _has_strangers
+from contact_reach_ros.ros.graph import rivalry
 from contact_reach_ros.ros.interfaces import ALONE
 from contact_reach_ros.world.spheres import Spheres
 
@@ -75,10 +75,12 @@ def test_the_controller_stops_for_a_stranger_or_a_second_node_of_a_name_in_safet
         assert it.supervisor.stop_reason.startswith(f"4 publishers on /safety_state ({names}), expected one each of")
 
 
-@pytest.mark.parametrize(("known", "unknown", "are_wrong"), [(1, 2, False), (1, 3, True), (3, 1, True)])
-def test_endpoints_that_are_discovered_before_their_nodes_may_be_those_that_are_missing(known, unknown, are_wrong):
-    owners = ["controller", "driver", "observer"]
-    assert _has_strangers(Counter(owners[:known] + unknown * [UNKNOWN_NODE]), owners) is are_wrong
+@pytest.mark.parametrize(("known", "unknown", "is_wrong"), [(1, 3, False), (1, 4, True), (4, 1, True)])
+def test_endpoints_that_are_discovered_before_their_nodes_may_be_those_that_are_missing(known, unknown, is_wrong):
+    names = ["driver", "controller", "observer", "adapter"][:known] + unknown * ["_NODE_NAME_UNKNOWN_"]
+    infos = [SimpleNamespace(node_namespace="/", node_name=name) for name in names]
+    node = SimpleNamespace(resolve_topic_name=str, get_publishers_info_by_topic=lambda _: infos)
+    assert bool(rivalry(node, [topics.SAFETY_STATE])) is is_wrong
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def test_beside_a_stack_nothing_is_started(tmp_path):
             result = subprocess.run(command, env=env, cwd=tmp_path, capture_output=True, text=True, timeout=60)
             assert result.returncode == 2
             assert f"already running in ROS domain {domain}: /observer" in result.stderr
-            assert f"export ROS_DOMAIN_ID={domain + 1}" in result.stderr
+            assert "export ROS_DOMAIN_ID=" in result.stderr
             assert "summary" not in result.stdout + result.stderr
     assert os.listdir(tmp_path) == ["observer.txt"]
 

@@ -17,7 +17,7 @@ class Stack(StackClient):
         self.answers = answers
         self.called = []
 
-    def hear_everybody(self):
+    def hear_stops(self):
         self.stops = dict.fromkeys(next(self.looks), "stopped")
 
     def call(self, service, *_):

@@ -33,7 +33,7 @@ from contact_reach_ros.report.summary import EpisodeSummary
 
 UNHEARD = {topics.ADAPTER_COMMANDS, topics.SHADOW_COMMANDS}
 """Topics that the demo's stack does not publish."""
-TIME = re.compile(r"([0-9.]+) s   distance")
+TIME = re.compile(r"from the goal after ([0-9.]+) s")
 """Time since the goal was sent in the demo's progress, s."""
 
 
@@ -61,7 +61,7 @@ def killed(tmp_path_factory):
     with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as busy:
         try:
             with running(command(folder), env, output) as process:
-                ready(process, output, "distance")
+                ready(process, output, "from the goal after")
                 wait_for(lambda: float(TIME.findall(output.read_text())[-1]) >= 0.5, 60, "the arm is on its way")
                 process.kill()
         finally:

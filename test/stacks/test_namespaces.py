@@ -63,7 +63,7 @@ def test_two_stacks_reach_their_goals_beside_each_other(tmp_path, capsys):
             assert result.returncode == 0 and "settled: " in result.stdout, result.stdout + result.stderr
         assert command("left", "stop").returncode == 0
         assert command("right", "goto", "0.5", "0.0", "0.3").returncode == 0, "the other one is not stopped"
-        assert "namespace /: start one" in command("", "stop").stderr, "there is none outside of the namespaces"
+        assert "namespace /: safety_state" in command("", "stop").stderr, "there is none outside of the namespaces"
         for name in NAMES:
             processes[name].send_signal(signal.SIGINT)
         for name in NAMES:

@@ -36,7 +36,7 @@ def kill_in_motion(victim, env, folder):
 
 def moved(text):
     """Whether the demo's progress shows the arm on its way."""
-    distances = [float(number) for number in re.findall(r"distance +([0-9.]+) mm", text)]
+    distances = [float(number) for number in re.findall(r"([0-9.]+) mm and .* from the goal", text)]
     return bool(distances) and distances[-1] < distances[0] - 10.0
 
 
