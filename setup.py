@@ -52,7 +52,6 @@ setup(
         "brax",
         "jax",
         "jinja2",
-        "matplotlib",
         "mcap",
         "msgspec",
         "mujoco",
@@ -70,7 +69,7 @@ setup(
         "websockets",
     ],
     extras_require={
-        "benchmarks": ["ompl"],
+        "benchmarks": ["matplotlib", "ompl"],
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
         "test": [
             "cma",

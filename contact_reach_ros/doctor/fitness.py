@@ -22,7 +22,7 @@ from contact_reach_ros.bringup.processes import BringupOptions, processes
 from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.report.summary import SUCCESS_DISTANCE
+from contact_reach_ros.report.episode import SUCCESS_DISTANCE
 from contact_reach_ros.resources import write_text
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import load_scene

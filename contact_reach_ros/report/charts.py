@@ -12,7 +12,7 @@ from contact_reach_ros.arm import Array
 from contact_reach_ros.bags.signals import Series
 from contact_reach_ros.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
 from contact_reach_ros.report.bag import ReportBag
-from contact_reach_ros.report.summary import SUCCESS_DISTANCE
+from contact_reach_ros.report.episode import SUCCESS_DISTANCE
 
 Chart = dict[str, Any]
 """`data` and `layout` of a plotly figure; empty data if the bag lacks the quantity.
@@ -237,7 +237,7 @@ def _chart(bag: ReportBag, data: list[Trace], title: str, **yaxis: Any) -> Chart
 def _mark_events(bag: ReportBag, data: list[Trace], layout: dict[str, Any]) -> None:
     """Mark the goal, its end and the safety events on the time axis: lines, and points with their texts."""
     marks = [(0.0, BLUE, "goal sent")] if bag.episode is not None and bag.episode.has_goal else []
-    if bag.episode is not None and bag.episode.reached is not None:
+    if bag.episode is not None and np.isfinite(bag.episode.reached):
         marks.append((bag.episode.reached - bag.zero, GREEN, "goal reached"))
     for event in bag.signals.safety:
         words = f"{event.name}: {event.message}"
