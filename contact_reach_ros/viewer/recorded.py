@@ -48,13 +48,6 @@ class Event(NamedTuple):
 class Recording:
     """A bag, opened to show any of its moments; raises `BagError` if the bag cannot be read or holds no joint states.
 
-    Parameters
-    ----------
-    path
-        The bag.
-    arm
-        The arm of the page.
-
     Attributes
     ----------
     arm
@@ -67,12 +60,10 @@ class Recording:
         Events, ordered by time.
     """
 
-    def __init__(self, path: Path, arm: Arm) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self._reader = BagReader(path, of_stack=True)
         self.arm = arm_of_bag(self._reader)
-        if self.arm.name != arm.name:
-            raise BagError(f"bag '{path}' is of arm '{self.arm.name}', the page of '{arm.name}': view it with --arm")
         self._obstacles = ObstacleMarkerReader(self.arm.base_frame)
         self._signals = signals = read_signals(self._reader, self.arm)
         position = signals.position
