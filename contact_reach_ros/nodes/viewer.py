@@ -124,13 +124,13 @@ class ViewerNode(ManagedNode):
     def _on_torque(self, message: JointState) -> None:
         found = efforts(message, topics.EXTERNAL_TORQUE.name)
         places = places_of(self.arm.joint_names, list(found), topics.EXTERNAL_TORQUE.name)
-        self.live.external_torque = np.array(list(found.values()))[places]
+        self.live.update(external_torque=np.array(list(found.values()))[places])
 
     def _on_obstacles(self, data: bytes) -> None:
-        self.live.obstacles = self._obstacles.read(data)
+        self.live.update(obstacles=self._obstacles.read(data))
 
     def _on_plan(self, message: MarkerArray) -> None:
-        self.live.plan = read_plan(message)
+        self.live.update(plan=read_plan(message))
 
     def _on_contacts(self, message: JointState) -> None:
         forces = efforts(message, topics.SIM_CONTACTS.name)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from contact_reach_ros.arm import Arm, tip_positions
@@ -55,7 +53,7 @@ class Episode:
         position = signals.position
         if not np.isfinite(position.values).all(axis=1).any():
             raise BagError("holds no joint states of the arm; record joint_states")
-        self.distance = goal_distance(signals, partial(tip_positions, arm))
+        self.distance = goal_distance(signals, arm)
         self.has_goal = bool(len(self.distance.time))
         self.start = float(signals.goals.time[0]) if self.has_goal else 0.0
         last = min(float(position.time[-1]), end, self.start + timeout)
