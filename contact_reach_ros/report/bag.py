@@ -139,10 +139,12 @@ def read_report_bag(
     missing = [topic for topic in _EXPECTED if f"/{topic}" not in reader.topics]
     notes += [f"topic {topic} is missing: no {_EXPECTED[topic]}" for topic in missing]
     notes += signals.notes
-    budget = _recorded(signals, arm, "observer", BUDGET, load_budget(), notes).resolve(arm)
-    limits = _recorded(signals, arm, "controller", "limits", LimitSettings(), notes)
+    budget = _recorded(reader, signals, arm, "observer", BUDGET, load_budget(), notes).resolve(arm)
+    limits = _recorded(reader, signals, arm, "controller", "limits", LimitSettings(), notes)
     calls = [event.time for event in signals.safety if event.message == CALLED]
-    end = min(calls, default=np.inf) if end_ns is None else (end_ns - signals.origin_ns) / NANOSECONDS
+    end = min([*calls, *signals.position.time[-1:]], default=np.inf)
+    if end_ns is not None:
+        end = (end_ns - signals.origin_ns) / NANOSECONDS
     episode: Episode | None = None
     try:
         episode = Episode(signals, arm, end, timeout, settle)
@@ -164,7 +166,9 @@ def read_report_bag(
     )
 
 
-def _recorded(signals: EpisodeSignals, arm: Arm, node: str, prefix: str, default: Any, notes: list[str]) -> Any:
+def _recorded(
+    reader: BagReader, signals: EpisodeSignals, arm: Arm, node: str, prefix: str, default: Any, notes: list[str]
+) -> Any:
     """The section `prefix` of a node's recorded settings.
 
     If the bag lacks them, or this version refuses one, returns `default` and appends the reason to `notes`.
@@ -174,7 +178,7 @@ def _recorded(signals: EpisodeSignals, arm: Arm, node: str, prefix: str, default
         notes.append(f"the bag lacks the settings of the {node}: the package's own {prefix} is assumed")
         return default
     try:
-        return recorded_sections(node, recorded, arm, "")[prefix]
+        return recorded_sections(node, recorded, arm, reader.path)[prefix]
     except BagError as error:
         notes.append(f"the package's own {prefix} of the {node} is assumed: {error}")
         return default
