@@ -17,7 +17,7 @@ from contact_reach_ros.bags.signals import EpisodeSignals, arm_of_bag, read_sign
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
-from contact_reach_ros.reexecution.settings import BUDGET, recorded_sections
+from contact_reach_ros.reexecution.inputs import BUDGET, recorded_sections
 from contact_reach_ros.report.episode import Episode
 from contact_reach_ros.settings import RATE
 from contact_reach_ros.timing import NANOSECONDS
