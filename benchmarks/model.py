@@ -32,7 +32,7 @@ from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.settings import PIPELINES, PlanningSettings
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
-from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
+from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import rest_positions
@@ -87,7 +87,7 @@ def simulate(
         Of the law and its references; by default the package's.
     """
     arm = scene.arm
-    plant = Plant(scene, SensorSettings(), JointSettings(viscous_friction=0.0, coulomb_friction=0.0))
+    plant = Plant(scene, JointSettings(viscous_friction=0.0, coulomb_friction=0.0))
     plant.set_actuation(Actuation.COMMANDED)
     if spheres is not None:
         movable = ~np.concatenate([np.zeros(0, bool), *(obstacle.fixed for obstacle in scene.obstacles)])
@@ -105,7 +105,7 @@ def simulate(
         # The two rotations that turn one axis are in the tip's axes.
         turn = rotation @ action[3:6] if gains.task == AXIS else action[3:6]
         knot = Reference(position + action[:3], pin.exp3(turn) @ rotation, ahead + action[6:])
-        force = np.zeros(len(plant.contact_links))
+        force = np.zeros(len(plant.arm.contact_links))
         for tick in range(round(PlanningSettings().knot_duration / TICK)):
             share = min(1.0, tick * TICK / gains.reference_ramp) if gains.reference_ramp else 1.0
             reference = blend(before, knot, share)
@@ -120,13 +120,13 @@ def simulate(
 
 
 def normal_forces(plant: Plant) -> Array:
-    """Sum of the normal forces of the contacts on each of `plant.contact_links`, (L,), N, without friction."""
-    sums, force = np.zeros(len(plant.contact_links)), np.zeros(6)
+    """Sum of the normal forces of the contacts on each of `plant.arm.contact_links`, (L,), N, without friction."""
+    sums, force = np.zeros(len(plant.arm.contact_links)), np.zeros(6)
     for index, contact in enumerate(plant.data.contact):
         mujoco.mj_contactForce(plant.model, plant.data, index, force)
         for body in plant.model.geom_bodyid[contact.geom]:
-            if (name := plant.model.body(body).name) in plant.contact_links:
-                sums[plant.contact_links.index(name)] += force[0]
+            if (name := plant.model.body(body).name) in plant.arm.contact_links:
+                sums[plant.arm.contact_links.index(name)] += force[0]
     return sums
 
 

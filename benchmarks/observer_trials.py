@@ -16,8 +16,8 @@ from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.safety import RELEASE_DEBOUNCE, SafetySettings
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
-from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
-from contact_reach_ros.world.scene import MismatchSettings, Scene
+from contact_reach_ros.simulation.settings import JointSettings
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene
 
 MID_ARM = (3, 4, 5)
 """Links that are pushed."""
@@ -38,8 +38,7 @@ def step_63_error(arm: Arm, joint: int) -> float:
     """By what share of 1/K the residual of a joint takes longer to 63 % of a torque step; the arm is its model."""
     start, settings = np.array(arm.home), ObserverSettings()
     plant = Plant(
-        Scene("step", arm, 0, start, np.zeros(3)),
-        SensorSettings(position_noise=0.0, position_resolution=0.0, velocity_noise=0.0, torque_noise=0.0),
+        Scene("step", arm, 0, start, np.zeros(3), mismatch=dataclasses.replace(NO_MISMATCH, noise_scale=0.0)),
         JointSettings(viscous_friction=0.0, coulomb_friction=0.0),
     )
     plant.set_actuation(Actuation.COMMANDED)

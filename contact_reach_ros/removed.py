@@ -126,7 +126,7 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "dark": "append ?darkMode to the page's address",
         "shadows": "leave it out: shadows are always drawn",
         "rate": _NOT_TUNED + "30 Hz",
-        "bags": "leave it out: the page offers the neighbours of bag, or the folder bags",
+        "bags": "leave it out: a page shows the running stack, or the bag that the parameter bag names",
     },
     "recorder": {
         "topics": "leave it out: every topic of the stack is recorded; ros2 bag record records others",

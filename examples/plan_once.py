@@ -3,7 +3,7 @@
 Usage: python plan_once.py [PICTURE]
 
 On the left the arm as it is and where the plan takes it, from the side; on the right how far each joint moves.
-Compiling the planner takes up to a minute the first time.
+Needs matplotlib, of the extra `benchmarks`. Compiling the planner takes up to a minute the first time.
 """
 
 import sys

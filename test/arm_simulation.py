@@ -14,7 +14,7 @@ from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.references import Reference, References
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
-from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
+from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene
 from contact_reach_ros.world.scene_file import SceneFile
@@ -37,7 +37,8 @@ TORQUE_LIMITS = np.array(ARM.torque_limits)
 TICK_NS = 1_000_000
 SECOND_NS = 1_000_000_000
 
-IDEAL_SENSORS = SensorSettings(position_noise=0.0, position_resolution=0.0, velocity_noise=0.0, torque_noise=0.0)
+IDEAL = dataclasses.replace(NO_MISMATCH, noise_scale=0.0)
+"""An arm that is exactly what the controller's model says, with ideal sensors."""
 NO_FRICTION = JointSettings(viscous_friction=0.0, coulomb_friction=0.0)
 
 
@@ -56,13 +57,12 @@ def mobility(model: RobotModel) -> np.ndarray:
 def ideal_plant(
     start: np.ndarray = HOME,
     obstacles: tuple[Obstacle, ...] = (),
-    sensors: SensorSettings = IDEAL_SENSORS,
     joints: JointSettings = NO_FRICTION,
-    mismatch: MismatchSettings = NO_MISMATCH,
+    mismatch: MismatchSettings = IDEAL,
     seed: int = 0,
 ) -> Plant:
-    """The simulated arm at `start`; it is exactly what the controller's model says unless told otherwise."""
-    return Plant(Scene("test", ARM, seed, start, np.zeros(3), tuple(obstacles), mismatch=mismatch), sensors, joints)
+    """The simulated arm at `start`; it is `IDEAL` unless told otherwise."""
+    return Plant(Scene("test", ARM, seed, start, np.zeros(3), tuple(obstacles), mismatch=mismatch), joints)
 
 
 def with_obstacle(file: SceneFile, **changes: Any) -> SceneFile:

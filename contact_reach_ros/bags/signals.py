@@ -8,12 +8,12 @@ another rate than the wall clock.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arm import Arm
+from contact_reach_ros.arm import Arm, tip_positions
 from contact_reach_ros.arms import EARLIER_DIGESTS, ROBOT_DIGEST, ROBOT_TABLE, arm_in, load_arm
 from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, read_raw
 from contact_reach_ros.bags.reader import BagReader, RawMessage
@@ -279,17 +279,15 @@ def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
     )
 
 
-def goal_distance(
-    signals: EpisodeSignals, tip_positions: Callable[[np.ndarray], np.ndarray], period: float = 0.01
-) -> Series:
+def goal_distance(signals: EpisodeSignals, arm: Arm, period: float = 0.01) -> Series:
     """Distance of the flange from the goal in force; before the first goal, from the first goal.
 
     Parameters
     ----------
     signals :
         The episode.
-    tip_positions :
-        Forward kinematics: joint positions (n, joints) in rad to positions (n, 3) in m, in the frame of the goals.
+    arm :
+        The recorded arm.
     period :
         Spacing of the result, s; joint states in between are left out.
 
@@ -306,7 +304,7 @@ def goal_distance(
     rows = np.unique(np.clip(np.searchsorted(time, wanted - 1e-3 * period), 0, len(time) - 1))
     rows = rows[np.all(np.isfinite(positions[rows]), axis=1)]
     in_force = np.maximum(np.searchsorted(signals.goals.time, time[rows], side="right") - 1, 0)
-    away = tip_positions(positions[rows]) - signals.goals.values[in_force]
+    away = tip_positions(arm, positions[rows]) - signals.goals.values[in_force]
     return Series(time[rows], ("distance",), np.linalg.norm(away, axis=1, keepdims=True))
 
 

@@ -19,9 +19,8 @@ from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.goal_state import describe
 from contact_reach_ros.planning.goal_progress import GoalPhase
-from contact_reach_ros.report.bag import metrics, quantity, read_report_bag
+from contact_reach_ros.report.bag import ReportBag, as_json, metrics, quantity, read_report_bag
 from contact_reach_ros.report.plot import draw_episode
-from contact_reach_ros.report.summary import EpisodeSummary
 from contact_reach_ros.resources import write_text
 from contact_reach_ros.ros.client import CONTROLLER, StackClient
 from contact_reach_ros.ros.interfaces import DEMO
@@ -68,22 +67,20 @@ def run_demo(options: DemoOptions) -> int:
     A run that failed because the machine missed too many ticks is repeated in lockstep, unless the page is served.
     Raises `ContactReachError` if the scene, the goal or the settings are refused.
     """
-    code, summary = _run(options)
-    if options.lockstep or options.view or code in (0, INTERRUPTED) or summary is None:
-        return code
-    if summary.missed_ticks <= _MISSED_SHARE * (summary.ticks + summary.missed_ticks):
+    code, missed = _run(options)
+    if options.lockstep or options.view or code in (0, INTERRUPTED) or missed <= _MISSED_SHARE:
         return code
     print(
-        f"\nThis machine is too slow, or too busy, to simulate the arm in real time: {summary.missed_ticks} ticks of "
-        f"{summary.ticks + summary.missed_ticks} were missed. The same demo again in simulated time (--lockstep):\n",
+        f"\nThis machine is too slow, or too busy, to simulate the arm in real time: {missed:.0%} of the ticks were "
+        "missed. The same demo again in simulated time (--lockstep):\n",
         flush=True,
     )
     code, _ = _run(dataclasses.replace(options, lockstep=True))
     return code
 
 
-def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
-    """Run the demo once; returns the exit code and the numbers, None without any or after a failure of the stack."""
+def _run(options: DemoOptions) -> tuple[int, float]:
+    """Run the demo once; returns the exit code and the share of missed ticks, 0 after a failure of the stack."""
     name = f"demo_{read_scene(options.scene).name}_{options.seed}_{datetime.now():%Y%m%d_%H%M%S}"
     bag = options.output.resolve() / name
     bringup = BringupOptions(
@@ -118,11 +115,13 @@ def _run(options: DemoOptions) -> tuple[int, EpisodeSummary | None]:
             _say("ending the stack", done=True)
     if failure:
         print(f"demo: {failure}", file=sys.stderr)
-    summary = _judge(bag, options)
+    found = _judge(bag, options)
     if interrupted:
-        return INTERRUPTED, summary
-    code = 0 if summary is not None and summary.success and not failure else 1
-    return code, None if failure else summary
+        return INTERRUPTED, 0.0
+    if failure or found is None:
+        return 1, 0.0
+    missed, ticks = (metrics(found)[name][0] for name in ("ticks missed", "ticks"))
+    return (0 if found.good else 1), missed / (missed + ticks or 1.0)
 
 
 def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, view: bool) -> None:
@@ -160,7 +159,7 @@ def _stay_up(stack: StackProcesses) -> None:
         stack.watch(_LOOK_S)
 
 
-def _judge(bag: Path, options: DemoOptions) -> EpisodeSummary | None:
+def _judge(bag: Path, options: DemoOptions) -> ReportBag | None:
     """Read the bag, print its numbers and write plot and JSON; None if there is nothing to judge."""
     try:
         found = read_report_bag(bag, bag.name, _TIMEOUT_S, _SETTLE_S)
@@ -173,10 +172,9 @@ def _judge(bag: Path, options: DemoOptions) -> EpisodeSummary | None:
     print()
     for label, text in {"result": found.verdict, **numbers, "bag": bag, "plot": plot}.items():
         print(f"  {label:40}{text}")
-    if found.summary is not None and options.json is not None:
-        values = {**found.summary.as_json(), "lockstep": options.lockstep, "bag": str(bag), "plot": str(plot)}
-        write_text(options.json, json.dumps(values, indent=2) + "\n")
-    return found.summary
+    if options.json is not None:
+        write_text(options.json, json.dumps(as_json(found), indent=2, allow_nan=False) + "\n")
+    return found
 
 
 def _say(line: str, done: bool = False) -> None:

@@ -34,9 +34,9 @@ from contact_reach_ros.viewer.access import call, serve
 from contact_reach_ros.viewer.frame import safety_status
 from contact_reach_ros.viewer.live import LiveState
 from contact_reach_ros.viewer.page import Page
-from contact_reach_ros.viewer.playback import bag_directory
+from contact_reach_ros.viewer.playback import Player
 from contact_reach_ros.viewer.recorded import Recording
-from contact_reach_ros.viewer.settings import BAGS, MAX_RATE, VIEWER_SECTIONS, ViewerSettings
+from contact_reach_ros.viewer.settings import MAX_RATE, VIEWER_SECTIONS, ViewerSettings
 
 TITLE = "contact_reach_ros"
 
@@ -56,6 +56,23 @@ class ViewerNode(ManagedNode):
         self.live = LiveState(self.arm, time.monotonic())
         self._states = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._obstacles = ObstacleMarkerReader(self.arm.base_frame)
+        self._goals = self.make_publisher(topics.GOAL_POSE)
+        self._client = Client(self, is_served=True)
+        if settings.bag:
+            player = Player(Recording(Path(settings.bag).resolve()))
+            arm = player.recording.arm
+        else:
+            player, arm = None, self.arm
+            self._listen()
+        budget = load_budget(settings.contact_budget).resolve(arm)
+        self._server = serve(settings.port, TITLE)
+        self._page = call(self._server, lambda: Page(self._server, arm, budget, self.live, self, player))
+        port = self._server.get_port()
+        self.get_logger().info(
+            f"open {settings.page_address(port)}; on another machine, first run ssh -L {port}:localhost:{port} robot"
+        )
+
+    def _listen(self) -> None:
         inbox = self.inbox
         # The page shows thirty moments a second: of fast topics, only the newest message is ever decoded.
         inbox.add(topics.JOINT_STATES, self._on_state, topics.NEWEST, serialized=True)
@@ -65,19 +82,6 @@ class ViewerNode(ManagedNode):
         inbox.add(topics.SIM_CONTACTS, self._on_contacts, _FEW)
         inbox.add(topics.PLAN_STATISTICS, self.live.on_statistics, _FEW)
         inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
-        bag = Path(settings.bag).resolve()
-        bags = bag_directory(bag).parent if settings.bag else Path(BAGS)
-        recording = Recording(bag, self.arm) if settings.bag else None
-        arm = recording.arm if recording else self.arm
-        budget = load_budget(settings.contact_budget).resolve(self.arm)
-        self._goals = self.make_publisher(topics.GOAL_POSE)
-        self._client = Client(self, is_served=True)
-        self._server = serve(settings.port, TITLE)
-        self._page = call(self._server, lambda: Page(self._server, arm, self.live, self, bags, budget, recording))
-        port = self._server.get_port()
-        self.get_logger().info(
-            f"open {settings.page_address(port)}; on another machine, first run ssh -L {port}:localhost:{port} robot"
-        )
 
     def turn(self) -> None:
         """Update the page once."""
@@ -121,13 +125,13 @@ class ViewerNode(ManagedNode):
     def _on_torque(self, message: JointState) -> None:
         found = efforts(message, topics.EXTERNAL_TORQUE.name)
         places = places_of(self.arm.joint_names, list(found), topics.EXTERNAL_TORQUE.name)
-        self.live.external_torque = np.array(list(found.values()))[places]
+        self.live.update(external_torque=np.array(list(found.values()))[places])
 
     def _on_obstacles(self, data: bytes) -> None:
-        self.live.obstacles = self._obstacles.read(data)
+        self.live.update(obstacles=self._obstacles.read(data))
 
     def _on_plan(self, message: MarkerArray) -> None:
-        self.live.plan = read_plan(message)
+        self.live.update(plan=read_plan(message))
 
     def _on_contacts(self, message: JointState) -> None:
         forces = efforts(message, topics.SIM_CONTACTS.name)

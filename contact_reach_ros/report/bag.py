@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import shlex
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +17,15 @@ from contact_reach_ros.bags.signals import EpisodeSignals, arm_of_bag, read_sign
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
-from contact_reach_ros.report.summary import Episode, EpisodeSummary, largest, percentiles, recorded_section
+from contact_reach_ros.reexecution.inputs import BUDGET, recorded_sections
+from contact_reach_ros.report.episode import Episode
 from contact_reach_ros.settings import RATE
 from contact_reach_ros.timing import NANOSECONDS
 
 CALLED = "stop service called"
 """Reason of the stop that ends a run as planned."""
+BEFORE = 2.0
+"""Time shown before the first goal, s: a stack may have waited long for it."""
 
 _EXPECTED = {
     "joint_states": "joint positions, distance, tick jitter",
@@ -51,8 +53,8 @@ class ReportBag:
         The recorded arm.
     reader, signals :
         The bag, and its signals.
-    episode, summary :
-        The episode and its numbers; None without joint states.
+    episode :
+        The episode; None without joint states.
     zero :
         Origin of the page's times: when the goal was sent, or the first joint state, s on the clock of the signals.
     verdict :
@@ -72,7 +74,6 @@ class ReportBag:
     reader: BagReader
     signals: EpisodeSignals
     episode: Episode | None
-    summary: EpisodeSummary | None
     zero: float
     verdict: str
     good: bool
@@ -103,8 +104,7 @@ class ReportBag:
     @property
     def shown_from(self) -> float:
         """Start of the time range that charts show at first, s on the page."""
-        begin = float(self.signals.position.time[0]) if len(self.signals.position.time) else 0.0
-        return (begin if self.episode is None else max(begin, self.episode.shown_from)) - self.zero
+        return -min(BEFORE, self.zero)
 
 
 def read_report_bag(path: Path, label: str, timeout: float = np.inf, settle: float = np.inf) -> ReportBag:
@@ -135,25 +135,22 @@ def read_report_bag(path: Path, label: str, timeout: float = np.inf, settle: flo
     missing = [topic for topic in _EXPECTED if f"/{topic}" not in reader.topics]
     notes += [f"topic {topic} is missing: no {_EXPECTED[topic]}" for topic in missing]
     notes += signals.notes
-    budget = recorded_section(signals, "observer", "budget", load_budget(), notes).resolve(arm)
-    limits = recorded_section(signals, "controller", "limits", LimitSettings(), notes)
+    budget = _recorded(reader, signals, arm, "observer", BUDGET, load_budget(), notes).resolve(arm)
+    limits = _recorded(reader, signals, arm, "controller", "limits", LimitSettings(), notes)
     calls = [event.time for event in signals.safety if event.message == CALLED]
-    last = float(signals.position.time[-1]) if len(signals.position.time) else 0.0
-    end = min([*calls[:1], last])
+    end = min([*calls, *signals.position.time[-1:]], default=np.inf)
     episode: Episode | None = None
     try:
         episode = Episode(signals, arm, end, timeout, settle)
     except BagError as error:
         notes.append(f"no verdict: {error}")
-    summary = None if episode is None else episode.summary()
-    verdict, good = _verdict(signals, summary, end)
+    verdict, good = _verdict(signals, episode, end)
     return ReportBag(
         label=label,
         arm=arm,
         reader=reader,
         signals=signals,
         episode=episode,
-        summary=summary,
         zero=episode.start if episode is not None else 0.0,
         verdict=verdict,
         good=good,
@@ -163,42 +160,69 @@ def read_report_bag(path: Path, label: str, timeout: float = np.inf, settle: flo
     )
 
 
-_OF_SUMMARY: dict[str, tuple[str, Callable[[EpisodeSummary], float]]] = {
-    "time to the goal": ("s", lambda summary: summary.duration_s),
-    "distance at the end": ("mm", lambda summary: 1000 * summary.final_error_m),
-    "way to the goal": ("mm", lambda summary: 1000 * summary.distance_m),
-    "largest contact force": ("N", lambda summary: summary.max_contact_force_N),
-    "largest external torque": ("Nm", lambda summary: summary.max_external_torque_Nm),
-    "ticks": ("", lambda summary: summary.ticks),
-    "ticks missed": ("", lambda summary: summary.missed_ticks),
-    "round trip p50": ("µs", lambda summary: summary.round_trip_us["p50"]),
-    "round trip p99": ("µs", lambda summary: summary.round_trip_us["p99"]),
-    "round trip p99.9": ("µs", lambda summary: summary.round_trip_us["p999"]),
-    "plan takes p50": ("ms", lambda summary: summary.plan_ms["p50"]),
-    "plan takes p95": ("ms", lambda summary: summary.plan_ms["p95"]),
-    "plan takes at most": ("ms", lambda summary: summary.plan_ms["max"]),
-    "greatest plan age": ("ms", lambda summary: summary.plan_age_ms_max),
-}
-"""Units and values of the numbers that a demo prints, too."""
+def _recorded(
+    reader: BagReader, signals: EpisodeSignals, arm: Arm, node: str, prefix: str, default: Any, notes: list[str]
+) -> Any:
+    """The section `prefix` of a node's recorded settings.
+
+    If the bag lacks them, or this version refuses one, returns `default` and appends the reason to `notes`.
+    """
+    recorded = signals.settings.get(node)
+    if recorded is None:
+        notes.append(f"the bag lacks the settings of the {node}: the package's own {prefix} is assumed")
+        return default
+    try:
+        return recorded_sections(node, recorded, arm, reader.path)[prefix]
+    except BagError as error:
+        notes.append(f"the package's own {prefix} of the {node} is assumed: {error}")
+        return default
 
 
 def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
-    """The numbers of the report with their units, by name; NaN where unknown."""
-    summary, signals = bag.summary, bag.signals
+    """The numbers of the report with their units, by name; NaN where unknown. Those of the episode count to its end."""
+    signals, episode = bag.signals, bag.episode
+    start, end = (0.0, np.inf) if episode is None else (episode.start, episode.end)
+    ticks = signals.position.time[signals.position.time <= end]
+    contact, torque = (series.between(start, end) for series in (signals.contact_force, signals.external_torque))
+    missed = signals.missed_ticks.between(-np.inf, end).values
+    took = np.array([plan.numbers.get("took ms", np.nan) for plan in signals.plans if plan.time <= end])
     # Deviation of each tick from its time after the one before.
     period_ns = NANOSECONDS / signals.settings.get("driver", {}).get(RATE.name, RATE.default)
-    jitter = percentiles(np.abs(np.diff(signals.state_sent_ns) - period_ns) / 1000.0, p50=50.0, p99=99.0)
+    jitter_us = np.abs(np.diff(signals.state_sent_ns) - period_ns) / 1000.0
+    left = episode.distance.between(-np.inf, end).values[-1:] if episode is not None else np.zeros(0)
     return {
-        **{
-            name: (float("nan") if summary is None else float(pick(summary)), unit)
-            for name, (unit, pick) in _OF_SUMMARY.items()
-        },
+        "time to the goal": (np.nan if episode is None else episode.reached - start, "s"),
+        "distance at the end": (1000 * largest(left), "mm"),
+        "way to the goal": (np.nan if episode is None else 1000 * episode.way, "mm"),
+        "largest contact force": (largest(contact.column("max")), "N"),
+        "largest external torque": (largest(np.abs(torque.values)), "Nm"),
+        "ticks": (float(len(np.unique(ticks))), ""),
+        "ticks missed": (float(np.nanmax(missed, initial=0.0)), ""),
+        "round trip p50": (percentile(signals.answers_ns / 1000.0, 50.0), "µs"),
+        "round trip p99": (percentile(signals.answers_ns / 1000.0, 99.0), "µs"),
+        "round trip p99.9": (percentile(signals.answers_ns / 1000.0, 99.9), "µs"),
+        "plan takes p50": (percentile(took, 50.0), "ms"),
+        "plan takes p95": (percentile(took, 95.0), "ms"),
+        "plan takes at most": (largest(took), "ms"),
+        "greatest plan age": (1000 * largest(signals.plan_age(ticks)), "ms"),
         "time above the permitted force": (_time_above(bag), "ms"),
         "external torque, of what stops the arm": (100 * largest(_threshold_share(bag)), "%"),
         "largest command, of its limit": (100 * largest(np.abs(signals.command.values) / bag.torque_limits), "%"),
-        **{f"tick jitter {name}": (value, "µs") for name, value in jitter.items()},
+        "tick jitter p50": (percentile(jitter_us, 50.0), "µs"),
+        "tick jitter p99": (percentile(jitter_us, 99.0), "µs"),
         "plans": (float(len(signals.plans)), ""),
     }
+
+
+def largest(values: Array) -> float:
+    """The largest finite value; NaN without any."""
+    return percentile(values, 100.0)
+
+
+def percentile(values: Array, percent: float) -> float:
+    """A percentile of the finite values; NaN without any."""
+    values = values[np.isfinite(values)]
+    return float(np.percentile(values, percent)) if len(values) else float("nan")
 
 
 def quantity(value: float, unit: str) -> str:
@@ -237,13 +261,13 @@ def as_json(bag: ReportBag) -> dict[str, Any]:
     }
 
 
-def _verdict(signals: EpisodeSignals, summary: EpisodeSummary | None, end: float) -> tuple[str, bool]:
-    stops = [event for event in signals.safety if event.is_stop and event.time < end and event.message != CALLED]
-    if stops:
-        return f"stopped by the {stops[0].name}: {stops[0].message}", False
-    if summary is None or np.isnan(summary.distance_m):
+def _verdict(signals: EpisodeSignals, episode: Episode | None, end: float) -> tuple[str, bool]:
+    stop = next((event for event in signals.safety if event.is_stop and event.time < end), None)
+    if stop is not None:
+        return f"stopped by the {stop.name}: {stop.message}", False
+    if episode is None or not episode.has_goal:
         return "no goal in the bag", False
-    return ("goal reached", True) if summary.reached else ("goal not reached", False)
+    return ("goal not reached", False) if np.isnan(episode.reached) else ("goal reached", True)
 
 
 def _time_above(bag: ReportBag) -> float:

@@ -12,7 +12,7 @@ from contact_reach_ros.arm import Array
 from contact_reach_ros.bags.signals import Series
 from contact_reach_ros.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
 from contact_reach_ros.report.bag import ReportBag
-from contact_reach_ros.report.summary import SUCCESS_DISTANCE
+from contact_reach_ros.report.episode import SUCCESS_DISTANCE
 
 Chart = dict[str, Any]
 """`data` and `layout` of a plotly figure; empty data if the bag lacks the quantity.
@@ -145,7 +145,7 @@ def curve(time: Array, values: Array, name: str, colour: str, unit: str, **line:
 
 
 def envelope(time: Array, values: Array) -> tuple[Array, Array]:
-    """The least and the greatest value of each bin, in the order of their times, so that no peak is lost.
+    """The least and the greatest value of each bin, both at its beginning, so that no peak is lost.
 
     Parameters
     ----------
@@ -157,24 +157,14 @@ def envelope(time: Array, values: Array) -> tuple[Array, Array]:
     Returns
     -------
     time, values
-        At most two samples per bin; a short curve as it is. A bin without any value is a gap.
+        Two samples per bin; a short curve as it is. A bin without any value is a gap.
     """
     if len(time) <= 2 * BINS:
         return time, values
     size = -(-len(time) // BINS)
-    bins = -(-len(time) // size)
-    padded = np.full(bins * size, np.nan)
-    padded[: len(values)] = values
-    rows = padded.reshape(bins, size)
-    empty = np.isnan(rows).all(axis=1)
-    least = np.argmin(np.where(np.isnan(rows), np.inf, rows), axis=1)
-    greatest = np.argmax(np.where(np.isnan(rows), -np.inf, rows), axis=1)
-    least[empty] = greatest[empty] = 0
-    picked = np.sort(np.stack([least, greatest], axis=1), axis=1)
-    index = np.minimum(picked + size * np.arange(bins)[:, None], len(time) - 1).ravel()
-    thinned = values[index]
-    thinned[np.repeat(empty, 2)] = np.nan
-    return time[index], thinned
+    rows = np.append(values, np.full(-len(values) % size, np.nan)).reshape(-1, size)
+    extremes = np.stack([np.fmin.reduce(rows, axis=1), np.fmax.reduce(rows, axis=1)], axis=1)
+    return np.repeat(time[::size], 2), extremes.ravel()
 
 
 def _packed(values: Array) -> dict[str, str]:
@@ -237,7 +227,7 @@ def _chart(bag: ReportBag, data: list[Trace], title: str, **yaxis: Any) -> Chart
 def _mark_events(bag: ReportBag, data: list[Trace], layout: dict[str, Any]) -> None:
     """Mark the goal, its end and the safety events on the time axis: lines, and points with their texts."""
     marks = [(0.0, BLUE, "goal sent")] if bag.episode is not None and bag.episode.has_goal else []
-    if bag.episode is not None and bag.episode.reached is not None:
+    if bag.episode is not None and np.isfinite(bag.episode.reached):
         marks.append((bag.episode.reached - bag.zero, GREEN, "goal reached"))
     for event in bag.signals.safety:
         words = f"{event.name}: {event.message}"

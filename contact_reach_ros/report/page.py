@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from jinja2 import Environment, FileSystemLoader
 
 from contact_reach_ros.errors import BagError
@@ -60,23 +59,13 @@ def run_report(bags: Sequence[Path], output: Path | None = None, file: Path | No
     output = output or read[0].path.with_suffix(".html")
     write_text(output, page(read, [str(failure) for failure in failures]))
     if file is not None:
-        write_text(file, json.dumps(report_json(read), indent=2, allow_nan=False) + "\n")
+        write_text(file, json.dumps({"bags": [as_json(bag) for bag in read]}, indent=2, allow_nan=False) + "\n")
     for bag in read:
         print(f"{bag.label}: {bag.verdict}")
         for note in bag.notes:
             print(f"  note: {note}")
     print(f"report: {output} ({output.stat().st_size / 1e6:.1f} MB)")
     return 0
-
-
-def report_json(bags: Sequence[ReportBag]) -> dict[str, Any]:
-    """The numbers of each bag, and the differences of the first two."""
-    result: dict[str, Any] = {"bags": [as_json(bag) for bag in bags]}
-    if len(bags) > 1:
-        first, second = metrics(bags[0]), metrics(bags[1])
-        differences = {name: first[name][0] - second[name][0] for name in first}
-        result["difference"] = {name: value if np.isfinite(value) else None for name, value in differences.items()}
-    return result
 
 
 def page(bags: Sequence[ReportBag], failures: Sequence[str] = ()) -> str:

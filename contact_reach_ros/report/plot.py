@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
 from contact_reach_ros.report.bag import ReportBag
-from contact_reach_ros.report.summary import SUCCESS_DISTANCE
+from contact_reach_ros.report.episode import SUCCESS_DISTANCE
 
 _AFTER = 0.2
 """Shown after the end of the episode, s."""
@@ -33,8 +33,8 @@ def draw_episode(bag: ReportBag, title: str, file: Path) -> None:
         panel.spines[["top", "right"]].set_visible(False)
         panel.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9, borderaxespad=0.0)
     panels[2].set_xlabel("time since the goal was sent [s]")
-    if bag.summary is not None:
-        panels[2].set_xlim(bag.shown_from, bag.summary.watched_s + _AFTER)
+    if bag.episode is not None:
+        panels[2].set_xlim(bag.shown_from, bag.episode.end - bag.zero + _AFTER)
     figure.subplots_adjust(left=0.09, right=0.76, top=0.93, bottom=0.075, hspace=0.12)
     figure.suptitle(title, x=0.09, y=0.98, ha="left", fontsize=12, fontweight="bold")
     figure.align_ylabels(panels)
@@ -79,12 +79,13 @@ def _draw_torque(panel: Axes, bag: ReportBag) -> None:
 
 def _draw_moments(panel: Axes, bag: ReportBag, with_labels: bool) -> None:
     """Draw a line for the goal, its reaching and each stop."""
-    if bag.episode is None or bag.summary is None:
+    if bag.episode is None:
         return
     moments = [("goal sent", 0.0, BLUE)] if bag.episode.has_goal else []
-    if bag.episode.reached is not None:
+    if np.isfinite(bag.episode.reached):
         moments.append(("reached", bag.episode.reached - bag.zero, GREEN))
-    moments += [(f"{stop['source']} stop", stop["time_s"], VERMILION) for stop in bag.summary.safety_events]
+    stops = [event for event in bag.signals.safety if event.is_stop and event.time < bag.episode.end]
+    moments += [(f"{stop.name} stop", stop.time - bag.zero, VERMILION) for stop in stops]
     for label, time, colour in moments:
         line = panel.axvline(time, color=colour, linewidth=1.1, linestyle="--", zorder=1.5)
         if with_labels:

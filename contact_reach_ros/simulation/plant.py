@@ -20,10 +20,14 @@ from contact_reach_ros.simulation.obstacles import (
     soften_fixed,
     unknown_sphere,
 )
-from contact_reach_ros.simulation.settings import TICK, TICK_NS, JointSettings, SensorSettings
+from contact_reach_ros.simulation.settings import TICK, TICK_NS, JointSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import rest_positions
 
+POSITION_NOISE, VELOCITY_NOISE, TORQUE_NOISE = 1e-5, 1e-3, 0.05
+"""Standard deviations of a good arm's sensors, rad, rad/s and N m; the mismatch of a scene multiplies them."""
+POSITION_RESOLUTION = 1e-5
+"""rad."""
 HOLD_DAMPING = 30.0
 """Damping of the damped hold, N m s/rad: it brings every joint to rest before the brakes close."""
 BRAKE_TORQUE = 150.0
@@ -58,14 +62,11 @@ class Plant:
         Steps taken.
     scene
         Arm and surroundings.
-    contact_links
-        Links whose contact force is reported, in the order of `contact_forces`.
     """
 
     def __init__(
         self,
         scene: Scene,
-        sensors: SensorSettings,
         joints: JointSettings,
         noise_seed: int | None = None,
         unknown: tuple[float, float] | None = None,
@@ -99,8 +100,6 @@ class Plant:
         self.actuation = Actuation.BRAKED
         self.steps = 0
         self.scene = scene
-        self.contact_links = scene.arm.contact_links
-        self._sensors = sensors
         self._joints = joints
         self._friction_scale = mismatch.friction_scale
         self._noise_scale = mismatch.noise_scale
@@ -116,7 +115,7 @@ class Plant:
         self._foam = Foam(scene.obstacles, scene.foam_scale) if has_edges else None
         self._obstacles = slice(scene.arm.n, self.model.nv)
         names = [self.model.body(body).name for body in self.model.geom_bodyid]
-        links = self.contact_links
+        links = self.arm.contact_links
         self._link_of_geom = [links.index(name) if name in links else -1 for name in names]
         self.data.qpos[self._arm] = scene.start
         self._apply_joint_settings()
@@ -170,20 +169,19 @@ class Plant:
 
     def read(self) -> JointState:
         """What the joint sensors show of the present state, at its simulated time; each call draws new noise."""
-        sensors = self._sensors
         noise = self._noise_scale * self._random.standard_normal((3, self.scene.arm.n))
-        position = self.data.qpos[self._arm] + sensors.position_noise * noise[0]
-        if sensors.position_resolution > 0.0:
-            position = sensors.position_resolution * np.rint(position / sensors.position_resolution)
-        velocity = self.data.qvel[self._arm] + sensors.velocity_noise * noise[1]
-        return JointState(self.steps * TICK_NS, position, velocity, self._torque + sensors.torque_noise * noise[2])
+        position = self.data.qpos[self._arm] + POSITION_NOISE * noise[0]
+        if self._noise_scale > 0.0:
+            position = POSITION_RESOLUTION * np.rint(position / POSITION_RESOLUTION)
+        velocity = self.data.qvel[self._arm] + VELOCITY_NOISE * noise[1]
+        return JointState(self.steps * TICK_NS, position, velocity, self._torque + TORQUE_NOISE * noise[2])
 
     def contact_forces(self) -> Array:
-        """Magnitude of the contact force on each of `contact_links`, (L,), N: the vector sum over its contacts."""
+        """Magnitude of the contact force on each of the arm's contact links, (L,), N: the sum over its contacts."""
         data, links = self.data, self._link_of_geom
         if data.ncon == 0:
-            return np.zeros(len(self.contact_links))
-        sums = [[0.0, 0.0, 0.0] for _ in self.contact_links]
+            return np.zeros(len(self.arm.contact_links))
+        sums = [[0.0, 0.0, 0.0] for _ in self.arm.contact_links]
         # Plain numbers: arrays are slower for fewer than a dozen contacts. With an elliptic friction cone the rows of
         # a contact among the constraints are its force: normal and, with friction, tangential. MuJoCo's frame (9,) is a
         # rotation matrix in row order, whose first row is the normal; the force is that on the second geometry.

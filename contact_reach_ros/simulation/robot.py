@@ -9,14 +9,7 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.faults import Fault, Faults, UnknownObstacle
 from contact_reach_ros.simulation.plant import Plant
-from contact_reach_ros.simulation.settings import (
-    TICK,
-    TICK_NS,
-    JointSettings,
-    SensorSettings,
-    WatchdogSettings,
-    check_period,
-)
+from contact_reach_ros.simulation.settings import TICK, TICK_NS, JointSettings, WatchdogSettings, check_period
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres, obstacle_spheres
 
@@ -36,8 +29,6 @@ class SimulatedRobot:
         The robot's own watchdog.
     faults
         Faults that are injected; None without any, so that they cost nothing.
-    obstacles_every
-        Steps between observations of the obstacles.
     start_ns
         Stamp of the state before the first step, ns.
     """
@@ -75,16 +66,14 @@ class SimulatedRobot:
         self.scene = scene
         self.plant = Plant(
             scene,
-            SensorSettings(),
             joints or JointSettings(),
             noise_seed,
             next(((each.radius, each.stiffness) for each in faults if isinstance(each, UnknownObstacle)), None),
         )
         self.drive = Drive(self.plant, watchdog or WatchdogSettings())
         self.start_ns = 0
-        self.obstacles_every = (
-            _MESHES_EVERY if any(obstacle.is_deformable for obstacle in scene.obstacles) else _SPHERES_EVERY
-        )
+        has_mesh = any(obstacle.is_deformable for obstacle in scene.obstacles)
+        self._obstacles_every = _MESHES_EVERY if has_mesh else _SPHERES_EVERY
         seed = scene.seed if noise_seed is None else noise_seed
         self.faults = Faults(faults, seed, self.plant) if faults else None
 
@@ -121,11 +110,6 @@ class SimulatedRobot:
         else:
             self.drive.command(torque, clock_ns)
 
-    @property
-    def period_ns(self) -> int:
-        """Time between joint states, ns."""
-        return self._ticks * TICK_NS
-
     def step(self, clock_ns: int) -> list[InputError]:
         """Advance by one period; returns the errors of commands that reached the drive and were refused."""
         refused = []
@@ -152,7 +136,7 @@ class SimulatedRobot:
 
     def shows_obstacles(self) -> bool:
         """Whether the obstacles are published now, also where there are none: every few steps, unless they get lost."""
-        if self.plant.steps % self.obstacles_every:
+        if self.plant.steps % self._obstacles_every:
             return False
         return self.faults is None or not self.faults.lose_obstacles(self.now_ns)
 

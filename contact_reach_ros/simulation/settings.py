@@ -25,23 +25,6 @@ def check_period(period: float) -> int:
 
 
 @dataclass(frozen=True)
-class SensorSettings:
-    """Noise of the joint sensors, as standard deviations, and their resolution.
-
-    The defaults are those of a good arm; the mismatch of a scene multiplies them.
-    """
-
-    position_noise: float = 1e-5
-    """rad."""
-    position_resolution: float = 1e-5
-    """rad; 0 for none."""
-    velocity_noise: float = 1e-3
-    """rad/s."""
-    torque_noise: float = 0.05
-    """Of measured torques, N m."""
-
-
-@dataclass(frozen=True)
 class JointSettings:
     """Joint friction, which controller and observer do not know; the mismatch of a scene multiplies it."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,12 +10,10 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.messages.values import FARTHEST, goal_in, numbers
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.viewer.frame import Frame, SafetyStatus
 from contact_reach_ros.viewer.plots import History
-from contact_reach_ros.world.spheres import Spheres
 
 
 class LiveState:
@@ -31,14 +30,6 @@ class LiveState:
     ----------
     history
         Quantities for the plots.
-    external_torque
-        (n,), Nm; None before the first.
-    obstacles
-        The present obstacles; None before the first.
-    plan
-        Motion that the newest plan predicts; None once it is withdrawn.
-    goal
-        (3,), m, of the newest plan; None before the first.
     safety
         Newest safety state of each node.
     """
@@ -46,28 +37,28 @@ class LiveState:
     def __init__(self, arm: Arm, clock: float) -> None:
         self._arm = arm
         self.history = History(arm.joint_names)
-        self.external_torque: Array | None = None
-        self.obstacles: Spheres | None = None
-        self.plan: PlanPicture | None = None
-        self.goal: Array | None = None
         self.safety: dict[str, SafetyStatus] = {}
         self._heard = clock
-        self._stamp_ns = 0
-        self._q: Array | None = None
-        self._forces: Mapping[str, float] = {}
+        self._frame = Frame(0.0, np.full(arm.n, np.nan), safety=self.safety)
         self._peak = np.nan
+
+    def update(self, **parts: Any) -> None:
+        """Take parts of the present `Frame`, by name."""
+        self._frame = dataclasses.replace(self._frame, **parts)
 
     def on_joint_state(self, stamp_ns: int, q: Array, clock: float) -> None:
         """Take joint angles `q` (n,), rad."""
-        if stamp_ns < self._stamp_ns:
+        time = stamp_ns / NANOSECONDS
+        if time < self._frame.time:
             # Another run has begun: plans and contacts of the previous one are obsolete.
-            self.plan, self._forces, self.goal = None, {}, None
-        self._stamp_ns, self._q, self._heard = stamp_ns, q, clock
+            self.update(plan=None, forces={}, goal=None)
+        self.update(time=time, q=q)
+        self._heard = clock
 
     def on_contacts(self, forces: Mapping[str, float], largest: float) -> None:
         """Take true contact forces by link, and the largest, N."""
-        self._forces = forces
-        self._peak = max(largest, self._peak) if np.isfinite(self._peak) else largest
+        self.update(forces=forces)
+        self._peak = np.fmax(largest, self._peak)
 
     def on_statistics(self, message: Any) -> None:
         """Take the goal of the plan in a plan/statistics message; raises `InputError` if it is too far away."""
@@ -76,7 +67,7 @@ class LiveState:
             return
         if not (np.abs(goal) < FARTHEST).all():
             raise InputError(f"plan/statistics: goal = {goal.tolist()}; expected numbers below {FARTHEST:g} m")
-        self.goal = goal
+        self.update(goal=goal)
 
     def silence(self, clock: float) -> float:
         """Seconds since the last joint state."""
@@ -84,24 +75,15 @@ class LiveState:
 
     def frame(self) -> Frame | None:
         """The present moment, None before the first joint state; plots the largest force since the last call."""
-        if self._q is None:
+        frame = self._frame
+        if np.isnan(frame.q).any():
             return None
-        time = self._stamp_ns / NANOSECONDS
         values = {"force": float(self._peak)}
-        if self.goal is not None:
-            flange = link_frames(self._arm, self._q)[1][-1]
-            values["distance"] = 1000.0 * float(np.linalg.norm(flange - self.goal))
-        if self.external_torque is not None:
-            values |= dict(zip(self._arm.joint_names, self.external_torque.tolist(), strict=True))
-        self.history.add(time, values)
+        if frame.goal is not None:
+            flange = link_frames(self._arm, frame.q)[1][-1]
+            values["distance"] = 1000.0 * float(np.linalg.norm(flange - frame.goal))
+        if frame.external_torque is not None:
+            values |= dict(zip(self._arm.joint_names, frame.external_torque.tolist(), strict=True))
+        self.history.add(frame.time, values)
         self._peak = np.nan
-        return Frame(
-            time,
-            self._q,
-            self.external_torque,
-            self.obstacles,
-            self.plan,
-            self._forces,
-            self.goal,
-            dict(self.safety),
-        )
+        return frame

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import html
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,9 +18,8 @@ from contact_reach_ros.palette import GREEN, GREY, ORANGE, VERMILION, as_bytes
 from contact_reach_ros.viewer.arm import share_gradient
 from contact_reach_ros.viewer.frame import Frame
 from contact_reach_ros.viewer.live import LiveState
-from contact_reach_ros.viewer.playback import BagTab
+from contact_reach_ros.viewer.playback import BagTab, Player
 from contact_reach_ros.viewer.plots import Plots
-from contact_reach_ros.viewer.recorded import Recording
 from contact_reach_ros.viewer.scene import SceneView
 from contact_reach_ros.world.collision import check_goal
 from contact_reach_ros.world.goal import Goal
@@ -104,7 +102,7 @@ class _GoalTab:
             say(await asyncio.to_thread(actions.send_goal, self._position.copy()))
 
     def show(self, frame: Frame | None) -> None:
-        """Show whether the running arm, whose present moment is `frame`, reaches the goal; None hides the goal."""
+        """Show whether the arm, whose present moment is `frame`, reaches the goal; None hides the goal."""
         self._arrows.visible = frame is not None
         self._send.disabled = frame is None
         if frame is None:
@@ -132,7 +130,7 @@ class _GoalTab:
 
 
 class Page:
-    """The page on a server.
+    """The page on a server, of a running stack or of a bag.
 
     Call its methods in the server's own thread (`access.call`), since viser's buffers are not safe in others. Slow
     actions run in threads of their own.
@@ -143,28 +141,26 @@ class Page:
         Server of the page.
     arm
         The arm to show.
-    live, actions
-        State of the running stack, and actions on it.
-    bags
-        Folder of the bags that the page offers.
     budget
         Permitted contact force and torque thresholds.
-    recording
-        Recording to show at first; None for the running stack.
+    live, actions
+        State of the running stack, and actions on it.
+    player
+        Player of the bag to show; None for the running stack.
     """
 
     def __init__(
         self,
         server: viser.ViserServer,
         arm: Arm,
+        budget: ContactBudget,
         live: LiveState,
         actions: Actions,
-        bags: Path,
-        budget: ContactBudget,
-        recording: Recording | None = None,
+        player: Player | None = None,
     ) -> None:
         self._server = server
         self._live = live
+        self._player = player
         self._slow_due = 0.0
         self._last = 0.0
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
@@ -173,44 +169,33 @@ class Page:
         server.gui.main_panel.set_width(360)
         self._scene = SceneView(server, arm, budget.torque_thresholds, budget.permitted_force)
         self._banner = _Banner(server, budget.torque_thresholds)
-        self._add_stop(actions)
+        if player is None:
+            self._add_stop(actions)
         self._line = server.gui.add_html("")
-        names = ["Goal", "Plots", "Bag"]
-        if recording is not None:
-            # The first one is shown.
-            names.insert(0, names.pop(names.index("Bag")))
         group = server.gui.add_tab_group()
-        tabs = {name: group.add_tab(name) for name in names}
-        with tabs["Goal"]:
-            self._goal = _GoalTab(server, arm, actions, self.say)
-        with tabs["Plots"]:
+        # The first one is shown.
+        with group.add_tab("Goal" if player is None else "Bag"):
+            self._tab = _GoalTab(server, arm, actions, self.say) if player is None else BagTab(server, player)
+        with group.add_tab("Plots"):
             self._plots = Plots(server, arm.joint_names, budget.permitted_force)
-        with tabs["Bag"]:
-            self._bag = BagTab(server, bags, arm, self.say)
-        self._bag.open(recording)
 
     def turn(self, clock: float) -> None:
         """Update the page once; call it at the update rate. `clock` is a steady clock, s."""
         passed, self._last = clock - self._last, clock
-        live = self._live.frame()
+        live, player = self._live, self._player
+        frame = live.frame() if player is None else player.frame(passed)
         if not self._server.get_clients():
             return
-        player = self._bag.player
         if player is None:
-            frame = live
-            self._banner.show("live", frame, self._live.silence(clock))
+            self._banner.show("live", frame, live.silence(clock))
         else:
-            player.advance(passed)
-            frame = player.recording.frame(player.time)
             self._banner.show(f"bag {player.recording.path.name}, {player.time:.3f} s", frame, None)
         if frame is not None:
             self._scene.show(frame)
         if clock >= self._slow_due:
             self._slow_due = clock + _SLOW_PERIOD
-            self._bag.follow()
-            history = self._live.history
-            self._plots.show(history.table() if player is None else player.recording.table(player.time))
-            self._goal.show(live if player is None else None)
+            self._tab.show(frame)
+            self._plots.show(live.history.table() if player is None else player.recording.table(player.time))
 
     def say(self, text: str) -> None:
         """Show a line to all users."""
@@ -218,8 +203,8 @@ class Page:
 
     def _add_stop(self, actions: Actions) -> None:
         gui = self._server.gui
-        stop = gui.add_button("Stop", color="red", icon=viser.Icon.HAND_STOP, hint="compliant stop of the live arm")
-        reset = gui.add_button("Reset", color="gray", icon=viser.Icon.REFRESH, hint="release the stop of the live arm")
+        stop = gui.add_button("Stop", color="red", icon=viser.Icon.HAND_STOP, hint="compliant stop of the arm")
+        reset = gui.add_button("Reset", color="gray", icon=viser.Icon.REFRESH, hint="release the stop of the arm")
 
         @stop.on_click
         async def _(_: Any) -> None:

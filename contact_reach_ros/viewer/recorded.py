@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from contact_reach_ros.arm import Arm, Array, tip_positions
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent, Series, arm_of_bag, goal_distance, read_signals
 from contact_reach_ros.errors import BagError, InputError
@@ -48,13 +47,6 @@ class Event(NamedTuple):
 class Recording:
     """A bag, opened to show any of its moments; raises `BagError` if the bag cannot be read or holds no joint states.
 
-    Parameters
-    ----------
-    path
-        The bag.
-    arm
-        The arm of the page.
-
     Attributes
     ----------
     arm
@@ -67,12 +59,10 @@ class Recording:
         Events, ordered by time.
     """
 
-    def __init__(self, path: Path, arm: Arm) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self._reader = BagReader(path, of_stack=True)
         self.arm = arm_of_bag(self._reader)
-        if self.arm.name != arm.name:
-            raise BagError(f"bag '{path}' is of arm '{self.arm.name}', the page of '{arm.name}': view it with --arm")
         self._obstacles = ObstacleMarkerReader(self.arm.base_frame)
         self._signals = signals = read_signals(self._reader, self.arm)
         position = signals.position
@@ -189,14 +179,13 @@ def _contact_events(signals: EpisodeSignals) -> Iterator[Event]:
 def _table(arm: Arm, signals: EpisodeSignals, duration: float) -> Array:
     """All plotted quantities at equidistant times: (n, `quantities`)."""
     times = np.arange(0.0, duration + 0.5 * _SAMPLES, _SAMPLES)
-    distance = _latest(times, goal_distance(signals, partial(tip_positions, arm), _SAMPLES))[:, 0]
+    distance = _latest(times, goal_distance(signals, arm, _SAMPLES))[:, 0]
     first_goal = signals.goals.time[0] if len(signals.goals.time) else np.inf
-    force = signals.contact_force
     return np.column_stack(
         [
             times,
             np.where(times + _ROUNDING < first_goal, np.nan, 1000.0 * distance),
-            _peaks(times, force.time, force.column("max")),
+            _peaks(times, signals.contact_force),
             _latest(times, signals.external_torque),
         ]
     )
@@ -209,14 +198,9 @@ def _latest(times: Array, series: Series) -> Array:
     return values[rows]
 
 
-def _peaks(times: Array, place: Array, values: Array) -> Array:
-    """Largest value up to each of the times (n,), from the time before; where there is none, the last one.
-
-    `place` (m,) are the times of the `values` (m,).
-    """
-    peaks = np.full(len(times), np.nan)
-    rows = np.searchsorted(times, place)
-    inside = rows < len(times)
-    np.fmax.at(peaks, rows[inside], values[inside])
-    known = np.maximum.accumulate(np.where(np.isfinite(peaks), np.arange(len(peaks)), -1))
-    return np.where(known >= 0, peaks[known], np.nan)
+def _peaks(times: Array, forces: Series) -> Array:
+    """Largest force, N, since the one before of each of the times (n,); where there is none, the last one."""
+    ends = np.searchsorted(forces.time, times + _ROUNDING, side="right")
+    starts = np.append(0, np.minimum(ends[:-1], ends[1:] - 1))
+    values = forces.column("max")
+    return np.array([values[start:end].max() if end else np.nan for start, end in zip(starts, ends, strict=True)])

@@ -10,8 +10,6 @@ ADDRESS = "127.0.0.1"
 """The only address that serves the page; SSH can forward it to other machines."""
 MAX_RATE = 30.0
 """Greatest update rate of the page, Hz: more than the eye follows costs the browser and this machine their time."""
-BAGS = "bags"
-"""Folder where demo and bring-up put bags; the page offers those in it, or the neighbours of the bag it shows."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +17,7 @@ class ViewerSettings(Settings):
     """Port and contents of the page."""
 
     port: int = setting(8080, "port of 127.0.0.1 to listen on; 0 takes a free one", minimum=0, maximum=65535)
-    bag: str = setting("", "bag to show at start-up instead of the running stack; the page offers its neighbours, too")
+    bag: str = setting("", "bag to show instead of the running stack")
     contact_budget: str = setting("", "contact budget YAML; the package's own when empty")
 
     def page_address(self, port: int) -> str:

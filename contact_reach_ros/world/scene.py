@@ -19,7 +19,9 @@ class MismatchSettings(Settings):
     inertia_set: str = setting("alternative", "inertial parameters of the simulated arm: one of its sets")
     payload: float = setting(0.5, "unknown mass at the flange", unit="kg", minimum=0.0, maximum=14.0)
     friction_scale: float = setting(3.0, "factor on both joint frictions", minimum=0.0, maximum=20.0)
-    noise_scale: float = setting(2.0, "factor on the noise of the joint sensors", minimum=0.0, maximum=100.0)
+    noise_scale: float = setting(
+        2.0, "factor on the noise of the joint sensors; 0 for ideal ones", minimum=0.0, maximum=100.0
+    )
     foam_variation: float = setting(
         0.3,
         "greatest share by which the simulated foam is stiffer or softer, drawn by the seed",

@@ -10,6 +10,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from contact_reach_ros.arm import tip_positions
 from contact_reach_ros.arms.iiwa14 import ARM
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import EpisodeSignals, arm_of_bag, goal_distance, read_signals
@@ -124,12 +125,13 @@ def test_safety_changes_without_repetitions(signals: EpisodeSignals) -> None:
 
 
 def test_distance_is_to_the_goal_in_force(signals: EpisodeSignals) -> None:
-    found = goal_distance(signals, lambda q: q[:, :1] * [1.0, 0.0, 0.0], period=0.01)
+    found = goal_distance(signals, ARM, period=0.01)
     time, distance = found.time, found.column("distance")
     assert np.diff(time)[:-1] == pytest.approx(0.01, abs=1e-6)
     assert time[-1] == signals.position.time[-1]
-    wanted = np.where(time < 0.3 - 1e-6, 0.5, 0.7)
-    np.testing.assert_allclose(distance, np.abs(np.sin(time) - wanted), atol=1e-7)
+    goals = np.outer(np.where(time < 0.3 - 1e-6, 0.5, 0.7), [1.0, 0.0, 0.0])
+    tips = tip_positions(ARM, np.array([angles(moment) for moment in time]))
+    np.testing.assert_allclose(distance, np.linalg.norm(tips - goals, axis=1), atol=1e-6)
 
 
 def test_topics_of_other_types_are_left_out_with_a_note(tmp_path: Path) -> None:

@@ -9,12 +9,12 @@ from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.control.stop_watch import BRAKE_AFTER, REST_WITHIN
 from contact_reach_ros.control.supervisor import Mode
-from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
+from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.stack import Stack
-from contact_reach_ros.world.scene import MismatchSettings, Scene
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene
 
 MS = 1_000_000
-REAL = {"sensors": SensorSettings(), "joints": JointSettings()}
+REAL = {"joints": JointSettings(), "mismatch": NO_MISMATCH}
 
 
 def moving_plan(loop: ClosedLoop, milliseconds: int) -> None:

@@ -1,12 +1,11 @@
-"""Identification of the simulated robot, with noise, friction and its controller, and what is written of it."""
+"""Identification of an arm from its motion with noise, and what is written of it."""
 
 import dataclasses
 
 import numpy as np
 import pytest
-from motions import ARM, recording
+from motions import ARM, COULOMB, OFFSET, VISCOUS, recording
 
-from benchmarks.identified import record
 from contact_reach_ros.arm.tool import NO_TOOL, Tool
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.identification.command import describe, write
@@ -16,26 +15,27 @@ from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.presets import check_parameters
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import parameters_in
-from contact_reach_ros.simulation.settings import JointSettings
-from contact_reach_ros.world.scene import MismatchSettings
 
 SETTINGS, BUDGET = ObserverSettings(), load_budget()
-LOADED = MismatchSettings(inertia_set="nominal")
-"""The model's links, a payload of 0.5 kg, three times the friction and twice the noise."""
+HELD = Tool(mass=0.8, center=(0.0, 0.02, 0.06), flange_to_tip=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope="module")
-def found():
-    return identify(ARM, NO_TOOL, SETTINGS, BUDGET, [record(ARM, LOADED, 0, 32.0)])
+def taken():
+    return recording(ARM.with_tool(HELD), 29.0)
 
 
-def test_payload_and_friction_of_the_simulated_robot(found):
-    assert found.tool.mass == pytest.approx(LOADED.payload, rel=0.05)
-    np.testing.assert_allclose(found.tool.center, (0.0, 0.0, 0.05), atol=5e-3)
-    scale, joints = LOADED.friction_scale, JointSettings()
-    np.testing.assert_allclose(found.momentum.coulomb_friction, scale * joints.coulomb_friction, rtol=0.1)
-    np.testing.assert_allclose(found.momentum.viscous_friction, scale * joints.viscous_friction, rtol=0.25)
-    np.testing.assert_allclose(found.momentum.torque_offset, 0.0, atol=0.1)
+@pytest.fixture(scope="module")
+def found(taken):
+    return identify(ARM, NO_TOOL, SETTINGS, BUDGET, [taken])
+
+
+def test_tool_friction_and_offsets_of_a_motion_with_noise(found):
+    assert found.tool.mass == pytest.approx(HELD.mass, rel=0.02)
+    np.testing.assert_allclose(found.tool.center, HELD.center, atol=5e-3)
+    np.testing.assert_allclose(found.momentum.coulomb_friction, COULOMB, atol=0.05)
+    np.testing.assert_allclose(found.momentum.viscous_friction, VISCOUS, atol=0.1)
+    np.testing.assert_allclose(found.momentum.torque_offset, OFFSET, atol=0.05)
     assert found.rms_ratio < 1.0 / 3.0 and (found.after.rms < 0.6 * found.before.rms).all()
 
 
@@ -67,17 +67,14 @@ def test_links_of_the_bare_arm_and_then_its_tool():
     assert loaded.momentum.center_shift_y[:6] == bare.momentum.center_shift_y[:6]
 
 
-def test_what_was_found_before_is_found_again():
+def test_what_was_found_before_is_found_again(found, taken):
     """On an arm whose nodes have a tool, and friction, from an earlier identification."""
-    held = Tool(mass=0.8, center=(0.0, 0.02, 0.06), flange_to_tip=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0))
-    taken = recording(ARM.with_tool(held), 29.0)
-    first = identify(ARM, NO_TOOL, SETTINGS, BUDGET, [taken])
-    settings = dataclasses.replace(SETTINGS, momentum=first.momentum)
-    again = identify(ARM, dataclasses.replace(held, mass=0.3), settings, BUDGET, [taken])
-    assert again.momentum == first.momentum
-    assert again.tool.mass == pytest.approx(held.mass, abs=2e-3)
-    assert again.tool.flange_to_tip == held.flange_to_tip
-    np.testing.assert_allclose(again.after.rms, first.after.rms, rtol=0.01)
+    settings = dataclasses.replace(SETTINGS, momentum=found.momentum)
+    again = identify(ARM, dataclasses.replace(HELD, mass=0.3), settings, BUDGET, [taken])
+    assert again.momentum == found.momentum
+    assert again.tool.mass == pytest.approx(HELD.mass, abs=2e-3)
+    assert again.tool.flange_to_tip == HELD.flange_to_tip
+    np.testing.assert_allclose(again.after.rms, found.after.rms, rtol=0.01)
 
 
 def test_the_files_are_those_that_nodes_read(found, tmp_path):

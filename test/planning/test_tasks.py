@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_simulation import ARM, IDEAL_SENSORS, NO_FRICTION
+from arm_simulation import ARM, NO_FRICTION
 from planning_helpers import PERMITTED_FORCE, SMALL
 from six_axis import SIX_AXIS
 
@@ -114,7 +114,7 @@ def test_plans_for_another_arm_lead_to_its_goal_and_predict_contact_as_in_the_si
     reach = SIX_AXIS.capsules[UPPER_ARM].radius + settings.radius - 0.01
     balls = settings.at(0.5 * (starts + ends)[UPPER_ARM] + np.array([0.0, reach, 0.0]))
     scene = Scene("test", SIX_AXIS, 0, SIX_HOME, goal.position, balls)
-    plant = Plant(scene, IDEAL_SENSORS, NO_FRICTION)
+    plant = Plant(scene, NO_FRICTION)
     for _ in range(30):
         plant.step()
     core.reset()

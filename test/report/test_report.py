@@ -10,16 +10,14 @@ import pytest
 from contact_reach_command import contact_reach
 from plotly.offline import get_plotlyjs
 
-from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.report import bag as report_bag
-from contact_reach_ros.report.bag import ReportBag, read_report_bag
+from contact_reach_ros.report.bag import ReportBag, metrics, read_report_bag
 from contact_reach_ros.report.charts import BINS, envelope
 from contact_reach_ros.report.page import page
-from contact_reach_ros.report.summary import Episode, EpisodeSummary
 from contact_reach_ros.resources import share_directory
 
 SAMPLE = share_directory() / "bags" / "sample"
@@ -50,8 +48,11 @@ def titles(text: str) -> list[str]:
     return [chart["layout"]["yaxis"]["title"]["text"] for chart in charts(text)]
 
 
-def summary_of(signals: EpisodeSignals) -> EpisodeSummary:
-    return Episode(signals, load_arm()).summary()
+def report_of(signals: EpisodeSignals, **limits: float) -> ReportBag:
+    """What the sample bag would be with these signals."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report_bag, "read_signals", lambda *_: signals)
+        return read_report_bag(SAMPLE, "sample", **limits)
 
 
 def test_a_page_with_json(tmp_path: Path) -> None:
@@ -71,28 +72,28 @@ def test_a_page_with_json(tmp_path: Path) -> None:
 
 def test_a_recording_without_a_goal_has_the_numbers_that_need_none(signals: EpisodeSignals) -> None:
     goals = dataclasses.replace(signals.goals, time=np.zeros(0), values=np.zeros((0, 3)))
-    with_goal, without = summary_of(signals), summary_of(dataclasses.replace(signals, goals=goals))
-    assert not without.reached and np.isnan([without.final_error_m, without.duration_s]).all()
-    assert without.max_contact_force_N == with_goal.max_contact_force_N > 0.0
-    assert without.round_trip_us == with_goal.round_trip_us
+    without = report_of(dataclasses.replace(signals, goals=goals))
+    assert without.verdict == "no goal in the bag" and not without.good
+    found, expected = metrics(without), metrics(report_of(signals))
+    of_goal = ["time to the goal", "distance at the end", "way to the goal"]
+    assert np.isnan([found[name][0] for name in of_goal]).all()
+    assert found["largest contact force"] == expected["largest contact force"]
+    assert found["largest contact force"][0] > 0.0 and found["round trip p50"] == expected["round trip p50"]
 
 
 @pytest.mark.parametrize(("timeout", "verdict"), [(30.0, "goal reached"), (0.5, "goal not reached")])
 def test_an_episode_ends_where_it_is_decided_however_long_the_recording(
-    signals: EpisodeSignals, timeout: float, verdict: str, monkeypatch: pytest.MonkeyPatch
+    signals: EpisodeSignals, timeout: float, verdict: str
 ) -> None:
-    monkeypatch.setattr(report_bag, "read_signals", lambda *_: signals)
-    found = read_report_bag(SAMPLE, "sample", timeout=timeout, settle=0.2)
-    assert found.verdict == verdict and found.episode is not None and found.summary is not None
-    assert found.episode.reached is not None
-    wanted = found.episode.reached + 0.2 - found.episode.start if found.good else timeout
-    assert found.summary.watched_s == pytest.approx(wanted)
+    found = report_of(signals, timeout=timeout, settle=0.2)
+    assert found.verdict == verdict and found.episode is not None
+    episode = found.episode
+    assert episode.end == pytest.approx(episode.reached + 0.2 if found.good else episode.start + timeout)
 
 
-def test_a_stop_is_the_verdict(signals: EpisodeSignals, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_is_the_verdict(signals: EpisodeSignals) -> None:
     stop = SafetyEvent(signals.goals.time[0] + 0.5, 2, "observer", "too much torque", True)
-    monkeypatch.setattr(report_bag, "read_signals", lambda *_: dataclasses.replace(signals, safety=(stop,)))
-    found = read_report_bag(SAMPLE, "sample")
+    found = report_of(dataclasses.replace(signals, safety=(stop,)))
     assert found.verdict == "stopped by the observer: too much torque" and not found.good
 
 
@@ -145,6 +146,7 @@ def test_thinned_curves_keep_their_peaks_and_gaps() -> None:
     values[70_000:80_000] = np.nan
     thinned_time, thinned = envelope(time, values)
     assert len(thinned) <= 2 * BINS and (np.diff(thinned_time) >= 0.0).all()
-    assert thinned_time[np.nanargmax(thinned)] == time[54_321]
-    assert thinned_time[np.nanargmin(thinned)] == time[54_322]
+    for index, extreme in ((54_321, np.nanargmax(thinned)), (54_322, np.nanargmin(thinned))):
+        assert thinned[extreme] == values[index]
+        assert 0.0 <= time[index] - thinned_time[extreme] <= 1e-3 * len(time) / BINS
     assert np.isnan(thinned[(thinned_time > 70.1) & (thinned_time < 79.9)]).all()

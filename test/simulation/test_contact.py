@@ -5,7 +5,7 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, IDEAL_SENSORS
+from arm_simulation import ARM, HOME
 
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.settings import JointSettings
@@ -34,7 +34,7 @@ def ball_beside(link: int, gap: float, **settings) -> Obstacle:
 
 def braked(*balls: Obstacle, scale: float = 1.0) -> Plant:
     scene = Scene("test", ARM, 0, HOME, np.zeros(3), tuple(balls), foam_scale=scale)
-    return Plant(scene, IDEAL_SENSORS, JointSettings())
+    return Plant(scene, JointSettings())
 
 
 def settle(plant: Plant, seconds: float = 2.0) -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, IDEAL_SENSORS, NO_FRICTION
+from arm_simulation import ARM, NO_FRICTION
 from arm_simulation import TICK_NS as MS
 
 from contact_reach_ros.arm import JointState
@@ -37,7 +37,7 @@ def make_plant(
 ) -> Plant:
     mismatch = MismatchSettings("nominal", payload, friction_scale=1.0, noise_scale=0.0, foam_variation=0.0)
     scene = Scene("test", ARM, 0, START, np.zeros(3), mismatch=mismatch)
-    return Plant(scene, IDEAL_SENSORS, joints, unknown=unknown and (unknown.radius, unknown.stiffness))
+    return Plant(scene, joints, unknown=unknown and (unknown.radius, unknown.stiffness))
 
 
 def playing(*faults: Fault, plant: Plant | None = None, seed: int = 0) -> Faults:

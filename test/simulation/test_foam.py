@@ -5,7 +5,7 @@ import functools
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, IDEAL_SENSORS
+from arm_simulation import ARM, HOME
 
 from benchmarks.press import lattice, press_in_model, press_in_plant, stiffness_matrix
 from contact_reach_ros.errors import SceneError
@@ -29,7 +29,7 @@ def wall_scene() -> Scene:
 
 
 def braked(scene: Scene) -> Plant:
-    return Plant(scene, IDEAL_SENSORS, JointSettings())
+    return Plant(scene, JointSettings())
 
 
 def scene_beside_the_forearm(depth: float, **changes) -> Scene:

@@ -1,13 +1,23 @@
 """The simulated robot at rest, braked, commanded and wrong."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST, TORQUE_LIMITS, ideal_plant, random_states
 
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
-from contact_reach_ros.simulation.settings import JointSettings, SensorSettings
-from contact_reach_ros.world.scene import MismatchSettings
+from contact_reach_ros.simulation.plant import (
+    POSITION_NOISE,
+    POSITION_RESOLUTION,
+    TICK,
+    TORQUE_NOISE,
+    VELOCITY_NOISE,
+    Actuation,
+    Plant,
+)
+from contact_reach_ros.simulation.settings import JointSettings
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
 
 FRICTION = JointSettings()
 
@@ -75,30 +85,19 @@ class TestMismatch:
         np.testing.assert_allclose(plant.model.dof_damping, 2.5)
         np.testing.assert_allclose(plant.model.dof_frictionloss, 0.5)
 
-    def test_noise_is_scaled(self):
-        plain, noisy = (
-            ideal_plant(sensors=SensorSettings(position_resolution=0.0), mismatch=MismatchSettings(noise_scale=scale))
-            for scale in (1.0, 4.0)
-        )
-        for reading, larger in ((plain.read(), noisy.read()) for _ in range(10)):
-            np.testing.assert_allclose(larger.q - HOME, 4.0 * (reading.q - HOME), rtol=1e-6)
-            np.testing.assert_allclose(larger.v, 4.0 * reading.v)
-
 
 class TestSensors:
-    NOISY = SensorSettings(position_noise=2e-4, position_resolution=1e-4, velocity_noise=3e-3, torque_noise=0.2)
-
-    def test_noise_has_the_declared_spread_and_no_offset(self):
-        plant = ideal_plant(sensors=self.NOISY)
+    @pytest.mark.parametrize("scale", [1.0, 4.0])
+    def test_noise_has_the_spread_of_the_scene_and_no_offset(self, scale):
+        plant = ideal_plant(mismatch=dataclasses.replace(NO_MISMATCH, noise_scale=scale))
         plant.set_actuation(Actuation.COMMANDED)
         command = RobotModel(ARM).gravity_at(HOME)
         plant.step(command)
         readings = [plant.read() for _ in range(3000)]
-        rounding = self.NOISY.position_resolution / np.sqrt(12)
         for name, true, spread in (
-            ("q", plant.data.qpos, np.hypot(self.NOISY.position_noise, rounding)),
-            ("v", plant.data.qvel, self.NOISY.velocity_noise),
-            ("torque", command, self.NOISY.torque_noise),
+            ("q", plant.data.qpos, np.hypot(scale * POSITION_NOISE, POSITION_RESOLUTION / np.sqrt(12))),
+            ("v", plant.data.qvel, scale * VELOCITY_NOISE),
+            ("torque", command, scale * TORQUE_NOISE),
         ):
             errors = np.array([getattr(reading, name) for reading in readings]) - true
             assert np.std(errors) == pytest.approx(spread, rel=0.05), name
@@ -106,7 +105,7 @@ class TestSensors:
             assert np.abs(np.corrcoef(errors.T) - np.eye(ARM.n)).max() < 0.1, name
 
     def test_torque_is_unknown_unless_commanded(self):
-        plant = ideal_plant(sensors=self.NOISY)
+        plant = ideal_plant()
         for actuation in (Actuation.COMMANDED, Actuation.DAMPED_HOLD, Actuation.BRAKED):
             plant.set_actuation(actuation)
             plant.step(REST)

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, IDEAL_SENSORS, NO_FRICTION, ideal_plant
+from arm_simulation import ARM, HOME, NO_FRICTION, ideal_plant
 
 from contact_reach_ros.simulation.plant import Actuation, Plant
 from contact_reach_ros.world.collision import nearest
@@ -20,7 +20,7 @@ FOLDED = np.array([-0.111, -1.675, -2.867, -1.939, 2.733, -1.506, -2.731])
 
 def plant_among(*bodies, start: np.ndarray = HOME, obstacles=()) -> Plant:
     scene = Scene("test", ARM, 0, start, np.zeros(3), tuple(obstacles), environment=bodies)
-    return Plant(scene, IDEAL_SENSORS, NO_FRICTION)
+    return Plant(scene, NO_FRICTION)
 
 
 def least_distance(plant: Plant) -> float:
@@ -50,7 +50,7 @@ def test_the_arm_touches_itself_where_its_shapes_overlap():
     plant = plant_among(start=FOLDED)
     before = least_distance(plant)
     forces = plant.contact_forces()
-    assert [plant.contact_links[link] for link in np.flatnonzero(forces)] == ["lbr_link_7"]
+    assert [ARM.contact_links[link] for link in np.flatnonzero(forces)] == ["lbr_link_7"]
     assert forces.max() > 10.0
     for _ in range(200):
         plant.step()

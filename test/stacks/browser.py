@@ -117,11 +117,6 @@ class Page:
             self.call("Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13)
         self._settle()
 
-    def choose(self, label: str, option: str) -> None:
-        """Choose an option of the list next to a label."""
-        self.press(*self._input(label))
-        self.click(option, "[role=option]")
-
     def close_notes(self) -> None:
         """Close what viser says, about browsers without a graphics card for one: it lies over the page."""
         self.wait_for(
