@@ -17,7 +17,7 @@ from contact_reach_ros.errors import ContactReachError
 SOURCES = Path(__file__).resolve().parents[1]
 PACKAGE = "contact_reach_ros"
 NODES = {"driver", "controller", "observer", "planner", "adapter", "recorder", "replay", "bringup", "viewer"}
-EXECUTABLES = {*NODES, "contact-reach", "faults"}
+EXECUTABLES = {*NODES, "contact-reach"}
 BUILD_FILES = ("package.xml", "setup.py", "setup.cfg", "pyproject.toml", "LICENSE", "constraints.txt")
 BUILD_FOLDERS = ("resource", PACKAGE)
 SHARED_FOLDERS = ("config", "launch", "msg_docs", "bags")

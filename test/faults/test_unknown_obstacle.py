@@ -19,7 +19,7 @@ def episode(reaction: str) -> EpisodeResult:
         watchdog=WatchdogSettings(),
         unexpected_contact=UnexpectedContactSettings(reaction=reaction),
     )
-    return run_episode(scene("ball"), Method(small_planner(), CONTROLLER), options)
+    return run_episode(scene("free"), Method(small_planner(), CONTROLLER), options)
 
 
 def test_the_arm_that_retreats_touches_more_lightly_and_is_not_stopped():
