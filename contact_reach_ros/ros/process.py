@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
-import queue
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 
 import rclpy
@@ -15,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.executables import end_at_signals
@@ -22,6 +23,9 @@ from contact_reach_ros.ros.discovery import environment
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import check_arguments, without_ros_arguments
 from contact_reach_ros.ros.scheduling import choose_cpus, give_way, take_priority, use_cpus
+
+_LOOK_S = 0.1
+"""Time after which the end of a process is noticed at the latest, s."""
 
 
 def run(node_class: type[ManagedNode], arguments: Sequence[str]) -> int:
@@ -104,13 +108,12 @@ def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = ())
 
 
 def _serve(node: ManagedNode) -> int:
-    """Loop and executor in a thread each; the main thread sleeps until a signal, which wakes no other.
+    """Loop and executor in a thread each; the main thread looks for a signal now and then, which wakes no other.
 
     An executor that had to look for signals would be awake more often than all it serves needs.
     """
     failures: list[BaseException] = []
-    # Not an Event, which a signal handler may not set while the same thread waits for it.
-    ended: queue.SimpleQueue[None] = queue.SimpleQueue()
+    ended, served = threading.Event(), Future()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
 
@@ -119,18 +122,17 @@ def _serve(node: ManagedNode) -> int:
             task()
         except BaseException as error:  # handed to the main thread, which ends the process with it
             failures.append(error)
-        ended.put(None)
+        ended.set()
 
     cpus = choose_cpus(node.cpus, node.role, os.sched_getaffinity(0))
-    # Until the node is up a signal ends it at once: compiling, for one, takes long and cannot be interrupted.
+    # Until the node is configured a signal ends it at once: compiling, for one, takes long and cannot be interrupted.
     end_at_signals()
-    transitions = (node.trigger_configure, node.trigger_activate) if node.autostart else ()
-    for transition in transitions:
-        if transition() != TransitionCallbackReturn.SUCCESS:
-            node.get_logger().fatal(f"{transition.__name__.removeprefix('trigger_')} failed; see the message above")
-            return 1
+    if node.autostart and not _succeeds(node, node.trigger_configure):
+        return 1
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.put(None))
+        signal.signal(number, lambda *_: ended.set())
+    if node.autostart and not _succeeds(node, node.trigger_activate):
+        return 1
     # Also the first use of the logger, which takes long.
     node.get_logger().info("active" if node.running else "waiting to be configured")
     node.boundary.protect(node)
@@ -141,21 +143,24 @@ def _serve(node: ManagedNode) -> int:
 
     def serve() -> None:
         give_way()
-        executor.spin()
+        executor.spin_until_future_complete(served)
 
     tasks = {"loop": node.loop, "services": serve}
     threads = [threading.Thread(target=work, args=[task], name=name) for name, task in tasks.items()]
     for thread in threads:
         thread.start()
     try:
-        ended.get()
+        while not ended.is_set():
+            # With a limit: Linux may give the signal to another thread, and Python handles it in this one.
+            time.sleep(_LOOK_S)
     finally:
         # Another Ctrl-C would end Python's last moments as if it had failed: launch sends one after the terminal's.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         node.request_stop()
-        executor.shutdown()
+        served.set_result(None)
         for thread in threads:
             thread.join()
+        executor.shutdown()
         if node.inbox.intake is not None:
             node.inbox.intake.flush()
         node.write_out()
@@ -163,3 +168,11 @@ def _serve(node: ManagedNode) -> int:
         node.get_logger().fatal(f"the node ended with {type(failures[0]).__name__}: {failures[0]}")
         return 1
     return 0
+
+
+def _succeeds(node: ManagedNode, transition: Callable[[], TransitionCallbackReturn]) -> bool:
+    """Whether a transition of the node's lifecycle succeeds; if it does not, that is logged."""
+    is_done = transition() == TransitionCallbackReturn.SUCCESS
+    if not is_done:
+        node.get_logger().fatal(f"{transition.__name__.removeprefix('trigger_')} failed; see the message above")
+    return is_done
