@@ -11,6 +11,7 @@ from unittest.mock import Mock
 import pytest
 from stack_helpers import environment, running, wait_for
 
+from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 
@@ -49,6 +50,20 @@ def test_a_node_that_is_still_starting_ends_well(number, seconds):
     process.send_signal(number)
     printed, _ = process.communicate(timeout=30)
     assert process.returncode == -number and not printed
+
+
+def test_a_recorder_that_is_interrupted_at_once_completes_its_bag(tmp_path):
+    for attempt, seconds in enumerate((0.0, 0.05, 0.1)):
+        bag = tmp_path / str(attempt)
+        command = [*executable("recorder"), "--ros-args", "-p", f"bag:={bag}"]
+        with running(command, environment(), tmp_path / "printed.txt") as process:
+            wait_for(
+                lambda printed=tmp_path / "printed.txt": "recording to" in printed.read_text(), 30, "a bag is begun"
+            )
+            time.sleep(seconds)
+            process.send_signal(signal.SIGINT)
+            assert process.wait(30) == 0
+        assert not BagReader(bag).notes
 
 
 def test_a_loop_has_the_priority_that_the_system_permits_and_a_second_ctrl_c_changes_nothing(tmp_path):

@@ -101,7 +101,8 @@ def stand_still_in_motion(kind, env, folder):
         try:
             if BRAKES[kind]:
                 wait_for(lambda: "brakes closed: " in drivers.read_text(), 60, "the brakes are closed")
-            else:
+            # KUKA's driver reports nothing any more once its connection is closed.
+            if kind != "lbr":
                 assert speeds_until(domain, lambda speeds: len(speeds) > 200 and max(speeds[-200:]) < RESTS)
         finally:
             os.kill(controller, signal.SIGCONT)
