@@ -9,9 +9,8 @@ from test_grid import TINY
 from benchmarks import pictures
 from benchmarks.table1 import Table1, bench_table1
 
-BENCH = Table1(
-    scenes=("free",), goals=("hold",), methods=("contact_reach",), targets=2, repeats=3, timeout=0.6, latency=0.05
-)
+METHODS = ("contact_reach",)
+BENCH = Table1(scenes=("free",), goals=("hold",), methods=METHODS, targets=2, repeats=3, timeout=0.6, latency=0.05)
 
 
 @pytest.mark.slow
@@ -24,6 +23,6 @@ def test_a_run_writes_its_episodes_and_claims_and_can_be_drawn(tmp_path, capsys)
     ]
     assert report["claims"][0]["claim"] == "free: settles at the goal"
     assert not report["claims"][0]["met"]
-    assert "| free | contact_reach | 0/6 |" in capsys.readouterr().out
+    assert "| 0/6 |" in capsys.readouterr().out
     assert bench(pictures, file, file, picture) == 0
     assert picture.stat().st_size > 10_000
