@@ -53,9 +53,10 @@ def test_a_node_that_is_still_starting_ends_well(number, seconds):
 
 
 def test_a_recorder_that_is_interrupted_at_once_completes_its_bag(tmp_path):
+    printed = tmp_path / "printed.txt"
     for attempt, seconds in enumerate((0.0, 0.05, 0.1)):
         bag = tmp_path / str(attempt)
-        command, printed = [*executable("recorder"), "--ros-args", "-p", f"bag:={bag}"], tmp_path / "printed.txt"
+        command = [*executable("recorder"), "--ros-args", "-p", f"bag:={bag}"]
         with running(command, environment(), printed) as process:
             wait_for(lambda: "recording to" in printed.read_text(), 30, "a bag is begun")
             time.sleep(seconds)
