@@ -99,8 +99,6 @@ class Verdict(NamedTuple):
     """What is wrong with the joint states or the model, on which a compliant stop relies; empty while nothing is."""
     doubt: str = ""
     """Why the arm must not be started; empty when it may."""
-    model_error: tuple[float, ...] = ()
-    """Torque of each joint, N m, that the model lacks to carry the arm, within the budget; empty while unknown."""
     torque_known: bool = True
     """Whether the torque that acts on the arm is known. Behind closed brakes it is not, and no plan is followed."""
 

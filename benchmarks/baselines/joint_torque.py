@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.law import ImpedanceLaw
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.constants import make_constants, stop_damping
+from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.control.kernels import repulsion_torque
 from contact_reach_ros.control.references import References
@@ -47,6 +47,9 @@ SIGMA = 0.05
 The planner's own default, 0.3, suits references, which the law follows smoothly. Torques drawn that widely throw the
 arm about: none of them is better than standing still, and the arm stays in front of a ball.
 """
+
+_DAMPING = 20.0
+"""Of the strongest joint, N m s/rad."""
 
 
 class HeldTorque(NamedTuple):
@@ -252,6 +255,11 @@ class TorqueReferences(References):
     plan: TorquePlan = field(kw_only=True)
 
 
+def joint_damping(arm: Arm) -> Array:
+    """Damping (n,) of joints for which no torques are planned, N m s/rad, in proportion to their torque limits."""
+    return _DAMPING * arm.torque_limits / arm.torque_limits.max()
+
+
 class TorqueController(Controller):
     """Applies planned torques plus C + g as they are, without feedback other than planning again.
 
@@ -262,7 +270,7 @@ class TorqueController(Controller):
     def __init__(self, arm: Arm, settings: ControllerSettings, period: float = PERIOD) -> None:
         super().__init__(arm, settings, period)
         self._limits_only = make_constants(arm, limits=settings.limits, period=period)
-        self._damping = stop_damping(arm, settings.supervision)
+        self._damping = joint_damping(arm)
         self._plans: list[Plan] = []
 
     def follow(self, references: References) -> None:

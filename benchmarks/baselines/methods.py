@@ -7,14 +7,13 @@ from collections.abc import Callable
 
 from benchmarks.baselines.collision_free import CollisionFreePlanner
 from benchmarks.baselines.contact_rrt import find_contact_path
-from benchmarks.baselines.joint_torque import TorqueController, TorquePlanner
+from benchmarks.baselines.joint_torque import TorqueController, TorquePlanner, joint_damping
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.reactive import ReactivePlanner
 from benchmarks.baselines.reference_posture import PosturePlanner
 from benchmarks.baselines.rrt_star import JointPath, PathSettings, find_path
 from benchmarks.baselines.solvers import CmaSolver, GradientSolver
 from contact_reach_ros.arm import Arm, Array
-from contact_reach_ros.control.constants import stop_damping
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
@@ -113,7 +112,7 @@ def make_method(
         return Method(CollisionFreePlanner(arm, settings, controller.impedance, search, seed), controller)
     if name == "joint_torque":
         settings = dataclasses.replace(settings, seed=seed)
-        damping = stop_damping(arm, controller.supervision)
+        damping = joint_damping(arm)
         planner = TorquePlanner(arm, settings, controller.impedance, permitted_force, capacity, damping)
         return Method(planner, controller, TorqueController)
     settings = dataclasses.replace(settings, seed=seed)

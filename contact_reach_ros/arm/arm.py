@@ -100,6 +100,8 @@ class Arm:
         Per-joint values of the settings that depend on the arm, by the name of the setting; others are zero.
     tip_rotation
         Rotation (w, x, y, z) of the tip frame in the frame of the last link, not necessarily normalised.
+    bare
+        The same arm without its tool; None if it has none.
     """
 
     name: str
@@ -116,6 +118,7 @@ class Arm:
     home: tuple[float, ...]
     defaults: Mapping[str, tuple[float, ...]]
     tip_rotation: Quaternion = PARALLEL
+    bare: Arm | None = None
 
     @cached_property
     def n(self) -> int:
@@ -155,8 +158,8 @@ class Arm:
     @cached_property
     def digest(self) -> str:
         """Fingerprint of everything that models are built from, the same on every machine."""
-        values = dataclasses.asdict(self)
-        del values["defaults"]
+        values = dataclasses.asdict(dataclasses.replace(self, bare=None))
+        del values["defaults"], values["bare"]
         if self.tip_rotation == PARALLEL:
             # Bags from before there was a rotation have the same digest.
             del values["tip_rotation"]

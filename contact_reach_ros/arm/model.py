@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -103,13 +102,3 @@ class RobotModel:
         pin.forwardKinematics(self.pinocchio, data, q)
         pose = pin.updateFramePlacement(self.pinocchio, data, self.tip)
         return pose.translation, pose.rotation
-
-
-class Models(NamedTuple):
-    """Models of one arm: with the links' centres of mass where an identification found them, and as its table has them.
-
-    Both are the same object where nothing was found.
-    """
-
-    observed: RobotModel
-    nominal: RobotModel

@@ -114,6 +114,7 @@ def attach(arm: Arm, tool: Tool) -> Arm:
         inertia_sets=inertia_sets,
         capsules=(*arm.capsules, *shape),
         reach=arm.reach + float(np.linalg.norm(tool.position)),
+        bare=arm.bare or arm,
     )
 
 

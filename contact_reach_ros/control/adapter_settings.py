@@ -38,13 +38,6 @@ class AdapterSettings(Settings):
     gravity_compensation: bool = setting(
         True, "carry the arm; false for arms that compensate gravity themselves, as in the controller"
     )
-    stop_damping: float = setting(
-        20.0,
-        "damping of A1; the others' are in proportion to their torque limits",
-        unit="Nm s/rad",
-        minimum=0.0,
-        maximum=50.0,
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -70,7 +63,7 @@ class AdapterSettings(Settings):
     @property
     def stop(self) -> SupervisionSettings:
         """The settings of the compliant stop whose torques are sent."""
-        return SupervisionSettings(gravity_compensation=self.gravity_compensation, stop_damping=self.stop_damping)
+        return SupervisionSettings(gravity_compensation=self.gravity_compensation)
 
     @property
     def limits(self) -> LimitSettings:

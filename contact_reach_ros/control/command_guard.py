@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from enum import Enum
 
 import numpy as np
@@ -11,8 +12,7 @@ from contact_reach_ros.arm import REST_SPEED, Arm, Array, JointState, check_rest
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.adapter_settings import AdapterSettings
 from contact_reach_ros.control.constants import make_constants
-from contact_reach_ros.control.kernels import Constant, stopping_torque
-from contact_reach_ros.control.stability import stable_damping
+from contact_reach_ros.control.passive_stop import PassiveStop
 from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -52,16 +52,27 @@ class CommandGuard:
         Why no command is passed on; empty while they are.
     """
 
-    def __init__(self, arm: Arm, settings: AdapterSettings, period: float = 0.001) -> None:
-        """`period`: nominal time between joint states, s; raises `SettingsError` if `hold_after` is less than two."""
+    def __init__(
+        self, arm: Arm, settings: AdapterSettings, period: float = 0.001, hold: Sequence[float] | None = None
+    ) -> None:
+        """Raise `SettingsError` if `hold_after` is less than two periods.
+
+        Parameters
+        ----------
+        arm, settings
+            Arm and settings.
+        period
+            Nominal time between joint states, s.
+        hold
+            Torque (n,) up to which harmless torques hold a joint, N m; the hand-over limits of the arm by default.
+        """
         settings.check_period(period)
         self.phase = Phase.WAITING
         self.stop_reason = ""
         self._arm = arm
         self._model = RobotModel(arm)
-        stop = settings.stop
-        self._constants = make_constants(arm, limits=settings.limits, supervision=stop, period=period)
-        self._damping = self._constants[Constant.STOP_DAMPING].copy()
+        constants = make_constants(arm, limits=settings.limits, supervision=settings.stop, period=period)
+        self._stop = PassiveStop(arm, constants, hold)
         self._period = period
         self._hold_ns = round(settings.hold_after * NANOSECONDS)
         self._stop_ns = round(settings.stop_after * NANOSECONDS)
@@ -176,6 +187,7 @@ class CommandGuard:
         """Send harmless torques from now on, which continue from the last torque; `clock_ns`: see `_harmless_ns`."""
         self.phase, self._harmless_ns = Phase.HARMLESS, clock_ns
         self._last_harmless = self._sent
+        self._stop.begin()
 
     def _harmless(self, clock_ns: int) -> Array:
         """The torque of the compliant stop (n,), N m, from the last joint state; it may follow the last such torque."""
@@ -189,8 +201,5 @@ class CommandGuard:
         return torque
 
     def _stopping_torque(self, q: Array, v: Array) -> Array:
-        model = self._model
-        model.update(q, v)
-        mobility = np.asarray(np.linalg.inv(model.mass_matrix).diagonal(), float)
-        self._constants[Constant.STOP_DAMPING] = stable_damping(self._damping, mobility, self._period)
-        return stopping_torque(self._constants, model.bias, model.gravity, v, self._last_harmless, self._period)
+        self._model.update(q, v)
+        return self._stop.torque(self._model, q, v, self._last_harmless, self._period)

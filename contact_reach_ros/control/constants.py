@@ -31,6 +31,11 @@ CEILING_RATE = 100.0
 """Greatest acceleration per speed left below that ceiling, and deceleration per speed above it, 1/s: ten states at the
 usual rate."""
 
+STOP_DELAY = 0.01
+"""Delay of the drive and its filters that a stop stays stable with, besides a period, s."""
+STOP_SHARE = 0.8
+"""Share of an arm's speed that the stop's damping takes within period and delay: 1.3 is unstable."""
+
 
 def make_constants(
     arm: Arm,
@@ -65,7 +70,7 @@ def make_constants(
         Constant.TORQUE_CAP: limits.torque_share * torques,
         Constant.TORQUE_RATE: torque_rates(arm, limits),
         Constant.GRAVITY_SHARE: float(supervision.gravity_compensation),
-        Constant.STOP_DAMPING: stop_damping(arm, supervision),
+        Constant.STOP_RATE: STOP_SHARE / (period + STOP_DELAY),
         Constant.TASK_ROWS: impedance.rows,
     }
     return np.array([np.broadcast_to(values[row], arm.n) for row in Constant])
@@ -74,9 +79,3 @@ def make_constants(
 def torque_rates(arm: Arm, settings: LimitSettings) -> Array:
     """Greatest rate of change of each joint's torque (n,), N m/s, in proportion to the joints' torque limits."""
     return settings.torque_rate * arm.torque_limits / arm.torque_limits.max()
-
-
-def stop_damping(arm: Arm, settings: SupervisionSettings) -> Array:
-    """Damping (n,) of each joint in the compliant stop, N m s/rad."""
-    # The wrist's inertia is small: with the damping of A1 it would swing up if a command came one tick late.
-    return settings.stop_damping * arm.torque_limits / arm.torque_limits.max()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -11,11 +12,12 @@ import numpy as np
 from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import make_constants
-from contact_reach_ros.control.kernels import Constant, between, stopping_torque, tracking_torque, turned
+from contact_reach_ros.control.kernels import Constant, between, tracking_torque, turned
 from contact_reach_ros.control.own_watch import OwnWatch
+from contact_reach_ros.control.passive_stop import PassiveStop
 from contact_reach_ros.control.references import Reference, ReferenceQueue, References
 from contact_reach_ros.control.settings import AXIS, POSITION, ImpedanceSettings, LimitSettings, SupervisionSettings
-from contact_reach_ros.control.stability import check_gains, lightness, stable_damping
+from contact_reach_ros.control.stability import check_gains
 from contact_reach_ros.control.supervisor import Event, Mode, Supervisor, check_start, check_state
 from contact_reach_ros.errors import InputError, Verdict
 from contact_reach_ros.timing import NANOSECONDS, PAUSE, StampOrder
@@ -80,6 +82,7 @@ class Controller:
         settings: ControllerSettings,
         period: float = 0.001,
         watch_rate: float = WATCH_RATE,
+        hold: Sequence[float] | None = None,
     ) -> None:
         """Raise `SettingsError` if the gains are not stable at this rate.
 
@@ -91,6 +94,8 @@ class Controller:
             Nominal time between joint states, s.
         watch_rate
             Joint states that the controller's own watch takes at most, Hz.
+        hold
+            Torque (n,) up to which a stop holds a joint, N m: the budget's hand-over limits; the arm's by default.
         """
         check_gains(arm, settings.impedance, period)
         self.arm = arm
@@ -108,10 +113,7 @@ class Controller:
         self._period = period
         self._watch_rate = watch_rate
         self._constants = make_constants(arm, settings.impedance, settings.limits, settings.supervision, period)
-        self._stop_damping = self._constants[Constant.STOP_DAMPING].copy()
-        lightest = stable_damping(self._stop_damping, lightness(arm).mobility, period)
-        self._stop_needs_care = bool((lightest < self._stop_damping).any())
-        """Whether the damping of a stop would be unstable in some posture, at this rate."""
+        self._stop = PassiveStop(arm, self._constants, hold)
         self._sent = np.zeros(arm.n)
         """The last torque, which limits the change of the next one."""
         self._started = False
@@ -271,7 +273,7 @@ class Controller:
         self.model.update(q, v)
         self.supervisor.watch_observer(clock_ns)
         self.supervisor.watch_joints(q, v)
-        self.supervisor.watch_stop(q, v, clock_ns)
+        self.supervisor.watch_stop(v, clock_ns)
         paused_ns, self._last_clock_ns = clock_ns - (self._last_clock_ns or clock_ns), clock_ns
         if self.mode is Mode.SILENT:
             self._last_ns = now_ns
@@ -290,14 +292,9 @@ class Controller:
         # A late tick must not make up for the change that the ticks before it missed.
         period = min(max((now_ns - self._last_ns) / NANOSECONDS, 0.0), self._period) or self._period
         if self.mode is Mode.STOPPED:
-            model = self.model
-            if self._stop_needs_care:
-                mobility = np.asarray(np.linalg.inv(model.mass_matrix).diagonal(), float)
-                damping = stable_damping(self._stop_damping, mobility, self._period)
-                self._constants[Constant.STOP_DAMPING] = damping
-            bias = model.bias - self.supervisor.model_error
-            torque = stopping_torque(self._constants, bias, model.gravity, v, self._sent, period)
+            torque = self._stop.torque(self.model, q, v, self._sent, period)
         else:
+            self._stop.begin()
             torque = self._track(q, v, now_ns, period)
         if math.isnan(torque[0]):
             raise InputError(f"joint_states: no finite torque for velocity = {v.tolist()}; expected a possible state")

@@ -46,7 +46,7 @@ class Constant(IntEnum):
     TORQUE_CAP = 13
     TORQUE_RATE = 14
     GRAVITY_SHARE = 15
-    STOP_DAMPING = 16
+    STOP_RATE = 16
     TASK_ROWS = 17
 
 
@@ -64,6 +64,9 @@ _SPEED_SWEEPS = 3
 
 With references that jump about near singularities one of 300 arms became too fast with one, none with two or three.
 """
+
+_YIELD_SWEEPS = 8
+"""Times that `yielded` goes through the joints."""
 
 _VECTOR, _MATRIX = (numba.types.Array(float64, dimensions, "A", readonly=True) for dimensions in (1, 2))
 """Types of read-only arrays of any layout."""
@@ -551,14 +554,57 @@ def sendable_torque(constants: Array, torque: Array, previous: Array, period: fl
     return limited
 
 
-@_compiled(_RESULT, _MATRIX, *(_VECTOR,) * 4, float64)
-def stopping_torque(constants: Array, bias: Array, gravity: Array, v: Array, previous: Array, period: float) -> Array:
-    """Torque (n,) of the compliant stop, N m: no stiffness, damping and gravity only. See `tracking_torque`."""
-    n = len(v)
-    share, damping = constants[Constant.GRAVITY_SHARE], constants[Constant.STOP_DAMPING]
-    torque = np.empty(n)
+@_compiled()
+def braking_share(constants: Array, v: Array, mass_matrix: Array) -> float:
+    """Share of the stop's damping with which every joint's torque can follow its speed down at its greatest rate.
+
+    Damping that the rate delays would drive the arm back. One share for all joints keeps the damping dissipative.
+    """
+    share = 1.0
+    for i in range(len(v)):
+        rate, speed = constants[Constant.STOP_RATE, i], abs(v[i])
+        jerk = _JERK_SHARE * constants[Constant.TORQUE_RATE, i] / mass_matrix[i, i]
+        if speed > jerk / rate**2:
+            share = min(share, np.sqrt(2.0 * jerk * speed - (jerk / rate) ** 2) / (rate * speed))
+    return share
+
+
+@_compiled(_RESULT, _VECTOR, _VECTOR, _MATRIX)
+def yielded(tension: Array, most: Array, stiffness: Array) -> Array:
+    """The tension (n,), N m, of a spring after it has yielded: within `most` (n,) in each joint.
+
+    Of all tensions within, the nearest one in the norm of the stored energy ½ τᵀ K⁻¹ τ, which therefore does not grow:
+    associated plasticity. Coordinate descent from the clipped tension; `stiffness` is K (n, n), N m/rad.
+    """
+    n = len(tension)
+    found, compliance = np.empty(n), inverse(factorise(stiffness, 0.0)[0])
     for i in range(n):
-        torque[i] = bias[i] - gravity[i] - damping[i] * v[i] + share[i] * gravity[i]
+        found[i] = min(max(tension[i], -most[i]), most[i])
+    for _ in range(_YIELD_SWEEPS):
+        for i in range(n):
+            slope = 0.0
+            for k in range(n):
+                slope += compliance[i, k] * (found[k] - tension[k])
+            found[i] = min(max(found[i] - slope / compliance[i, i], -most[i]), most[i])
+    return found
+
+
+@_compiled(_RESULT, *(_MATRIX,) * 2, *(_VECTOR,) * 4, float64)
+def stopping_torque(
+    constants: Array, mass_matrix: Array, gravity: Array, v: Array, tension: Array, previous: Array, period: float
+) -> Array:
+    """Torque (n,) of the stop, N m: gravity, damping −s M q̇, and the tension (n,) of the hold, N m.
+
+    Others as for `tracking_torque`.
+    """
+    n = len(v)
+    share = braking_share(constants, v, mass_matrix)
+    wanted = np.empty(n)
+    for i in range(n):
+        wanted[i] = -share * constants[Constant.STOP_RATE, i] * v[i]
+    torque = times(mass_matrix, wanted)
+    for i in range(n):
+        torque[i] += tension[i] + constants[Constant.GRAVITY_SHARE, i] * gravity[i]
     return sendable_torque(constants, torque, previous, period)
 
 

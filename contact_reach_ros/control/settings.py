@@ -108,13 +108,6 @@ class SupervisionSettings(Settings):
     max_posture_error: float = setting(
         0.5, "the same for each joint's distance from the reference posture", unit="rad", minimum=0.01, maximum=7.0
     )
-    stop_damping: float = setting(
-        20.0,
-        "damping of A1 in the compliant stop; the others' are in proportion to their torque limits",
-        unit="Nm s/rad",
-        minimum=0.0,
-        maximum=50.0,
-    )
     drive_brakes: bool = setting(
         True,
         "the drive brakes the arm when commands end; false: a stop is damped and carried for ever, however it goes",

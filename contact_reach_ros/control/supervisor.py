@@ -10,9 +10,8 @@ from enum import Enum
 
 import numpy as np
 
-from contact_reach_ros.arm import Arm, Array, check_rest
+from contact_reach_ros.arm import REST_SPEED, Arm, Array, check_rest
 from contact_reach_ros.control.settings import SupervisionSettings
-from contact_reach_ros.control.stop_watch import SPEED_DEBOUNCE, StopWatch
 from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict, is_missing_states, with_sequel
 from contact_reach_ros.timing import NANOSECONDS, states_in
 
@@ -27,7 +26,7 @@ class Mode(Enum):
     TRACKING = "tracking"
     """A plan is in force."""
     STOPPED = "stopped"
-    """Latched compliant stop: no stiffness, damping and gravity only."""
+    """Latched compliant stop, see `PassiveStop`."""
     SILENT = "silent"
     """Latched, and nothing is commanded: the drive's watchdog holds the arm and closes the brakes."""
 
@@ -71,8 +70,13 @@ _PAUSE_PERIODS = 5
 """Ticks further apart than so many periods mean that the controller itself was held up."""
 
 
+SPEED_DEBOUNCE = 3
+"""Time above a permitted speed that counts, ms: a single wrong state stops nothing."""
+REST_TIME = 0.3
+"""Time at rest after which a stop ends in the drive's brakes, s: a rebound is over by then."""
+STOP_TIME = 1.0
+"""Time after the stop at which it ends in any case, s."""
 _GIVEN_UP = "nothing is commanded any more, the drive takes over"
-_GOES_ON = "the drive has no brakes, so that the damping goes on: support the arm"
 
 
 class Supervisor:
@@ -82,8 +86,6 @@ class Supervisor:
 
     Attributes
     ----------
-    model_error
-        Torque (n,), N m, that the model lacked to carry the arm when it was stopped; zero where nobody reports it.
     mode
         The present state.
     longest_silence
@@ -101,7 +103,9 @@ class Supervisor:
         self._settings = settings
         self._first_reason = ""
         self._escalation = ""
-        self._stop_watch = StopWatch(arm, period)
+        self._stopped_ns: int | None = None
+        self._rested_ns: int | None = None
+        """Since when the stopped arm has been at rest; None while it moves."""
         self._speed_limits = arm.velocity_limits
         self._speed_list = arm.velocity_limits.tolist()
         self._position_limits = list(zip(arm.lower.tolist(), arm.upper.tolist(), strict=True))
@@ -116,7 +120,6 @@ class Supervisor:
         self._own_missing_ns: int | None = None
         """The same for the controller's own watch."""
         self.longest_silence = 0.0
-        self.model_error = np.zeros(arm.n)
         self._has_begun = self._is_early = False
         """Whether there was a joint state; and whether, in simulated time, the last report came before it."""
         self._has_forgiven = False
@@ -158,27 +161,31 @@ class Supervisor:
         if not self.stopped:
             self.mode = TRANSITIONS[self.mode, Event.STOP]
             self._first_reason = reason
-            own_error = () if self._own is None else self._own.model_error
-            error = np.array(own_error or self._verdict.model_error)
-            is_usable = error.shape == (self._arm.n,) and np.isfinite(error).all()
-            self.model_error = error if is_usable else np.zeros(self._arm.n)
-            self._stop_watch.begin()
+            self._stopped_ns = self._rested_ns = None
 
-    def watch_stop(self, q: Array, v: Array, clock_ns: int) -> None:
-        """Give up the compliant stop if it fails, and end it in the drive's brakes when it has brought rest.
+    def watch_stop(self, v: Array, clock_ns: int) -> None:
+        """End a stop in the drive's brakes, as soon as the arm rests, or else after `STOP_TIME`.
 
-        With a drive that has none, damping goes on either way: silence would leave the last torque in force, undamped.
+        Where there are none, the hold goes on for an arm that rests. For one that does not, an adapter has the drive's
+        own stop.
         """
         if self.mode is not Mode.STOPPED:
             return
-        why = self._stop_watch.look(q, v, clock_ns)
-        if not self._settings.drive_brakes:
-            if why and not self._escalation:
-                self._escalation = f"{why}; {_GOES_ON}"
-        elif why:
-            self._give_up(why)
-        elif self._stop_watch.is_over:
-            self.happens(Event.RESTED)
+        if self._stopped_ns is None:
+            self._stopped_ns = clock_ns
+        speed = float(np.abs(v).max())
+        if speed > REST_SPEED:
+            self._rested_ns = None
+        elif self._rested_ns is None:
+            self._rested_ns = clock_ns
+        is_late = clock_ns - self._stopped_ns >= STOP_TIME * NANOSECONDS
+        has_brakes = self._settings.drive_brakes
+        if self._rested_ns is not None:
+            if has_brakes and (is_late or clock_ns - self._rested_ns >= REST_TIME * NANOSECONDS):
+                self.happens(Event.RESTED)
+        elif is_late and (has_brakes or self._settings.adapter):
+            joint = self._arm.joint_names[int(np.abs(v).argmax())]
+            self._give_up(f"{joint} still moves with {speed:.2f} rad/s {STOP_TIME:g} s after the stop")
 
     def _give_up(self, why: str) -> None:
         if self.happens(Event.NO_REST):

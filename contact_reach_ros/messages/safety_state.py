@@ -36,8 +36,6 @@ _ADAPTER, _WAITING = "adapter", "waiting"
 
 _KNOWN, _UNKNOWN = "known", "unknown"
 
-_MODEL_ERROR = "model error Nm"
-"""Key of the torque of each joint that the model lacks to carry the arm."""
 
 _LINK, _FORCE, _POSITION = "contact link", "contact force xyz N", "contact position xyz m"
 
@@ -52,7 +50,6 @@ def findings(report: SafetyReport) -> dict[str, str]:
     if report.doubt:
         values[DOUBT] = report.doubt
     values["residual age ms"] = f"{1000.0 * report.age:.1f}"
-    values[_MODEL_ERROR] = " ".join(f"{value:.2f}" for value in report.model_error)
     values[TORQUE] = _KNOWN if report.known_for > 0.0 else _UNKNOWN
     contact = report.contact
     if contact is not None:
@@ -79,15 +76,11 @@ def is_stopped(message: Any) -> bool:
 
 
 def read_verdict(message: Any) -> Verdict:
-    """The verdict in the observer's safety state; raises `InputError` if its numbers are malformed."""
+    """The verdict in the observer's safety state."""
     values = {item.key: item.value for item in message.values}
     reason = read_reason(message)
-    try:
-        error = tuple(float(number) for number in values.get(_MODEL_ERROR, "").split())
-    except ValueError as wrong:
-        raise InputError(f"safety_state: {_MODEL_ERROR} must be numbers ({wrong})") from wrong
     known = values.get(TORQUE) != _UNKNOWN
-    return Verdict(reason, values.get(DISTRUST, ""), values.get(DOUBT, ""), error, known)
+    return Verdict(reason, values.get(DISTRUST, ""), values.get(DOUBT, ""), known)
 
 
 def read_in_force(message: Any, before: bool) -> bool:

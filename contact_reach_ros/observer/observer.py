@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contact_reach_ros.arm import Arm, Array, JointState
-from contact_reach_ros.arm.model import Models, RobotModel
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError, Verdict
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.location import Contact, ContactLocator
@@ -47,8 +47,6 @@ class SafetyReport(NamedTuple):
         Time for which the acting torque has been known, s; 0 while it is not.
     contact
         Where the arm is touched, rounded to 1 mm and 0.1 N; None without a located contact.
-    model_error
-        Torque (n,), N m, that the model lacks to carry the arm, within the budget.
     has_news
         Whether level, reason, distrust or doubt have changed.
     is_heartbeat
@@ -64,14 +62,13 @@ class SafetyReport(NamedTuple):
     age: float
     known_for: float
     contact: Contact | None
-    model_error: tuple[float, ...]
     has_news: bool
     is_heartbeat: bool
 
     @property
     def verdict(self) -> Verdict:
         """What the controller has to know."""
-        return Verdict(self.reason, self.distrust, self.doubt, self.model_error, self.known_for > 0.0)
+        return Verdict(self.reason, self.distrust, self.doubt, self.known_for > 0.0)
 
     @property
     def due(self) -> bool:
@@ -117,9 +114,8 @@ class Observer:
         momentum = settings.momentum.resolve(arm)
         self.arm = arm
         shifted = arm.with_center_shifts(momentum.center_shift_x, momentum.center_shift_y)
-        nominal = RobotModel(arm)
-        self._models = Models(nominal if shifted is arm else RobotModel(shifted), nominal)
-        self.momentum = MomentumObserver(settings.momentum, self._models.observed, period)
+        model = RobotModel(shifted)
+        self.momentum = MomentumObserver(settings.momentum, model, period)
         self.monitor = SafetyMonitor(arm, settings.safety, budget, period)
         self.contact: Contact | None = None
         self.updates = 0
@@ -127,7 +123,7 @@ class Observer:
         self.sight = Sight(arm, period)
         self._plausibility = PlausibilityCheck(arm, settings.plausibility, budget.contact_thresholds, period)
         self._torque_check = TorqueCheck(arm, period)
-        self._locator = ContactLocator(self._models.observed, budget.contact_thresholds)
+        self._locator = ContactLocator(model, budget.contact_thresholds)
         self._locates = locates
         self._heartbeat_every = max(1, round(HEARTBEAT / period))
         self._reported: tuple[SafetyLevel, str, str, str] | None = None
@@ -183,19 +179,9 @@ class Observer:
             age,
             momentum.known_for,
             self.contact,
-            self._model_error(),
             state != self._reported,
             is_heartbeat,
         )
-
-    def _model_error(self) -> tuple[float, ...]:
-        """What the controller's model lacks: the slow mean, and the weight that this model has and that one has not."""
-        error, (own, other) = self.monitor.model_error, self._models
-        if own is other:
-            return error
-        other.update_dynamics(self.momentum.posture)
-        more = own.gravity - other.gravity
-        return tuple([lacking - weight for lacking, weight in zip(error, more.tolist(), strict=True)])
 
     def _conclude(self, stamp_ns: int, is_heartbeat: bool) -> SafetyReport:
         report = self.report(stamp_ns, is_heartbeat)

@@ -164,7 +164,6 @@ class SafetyMonitor:
         per_rad = [MODEL_ERROR_PER_RAD * bound for bound in budget.model_error]
         at_rest = [MODEL_ERROR_AT_REST * threshold for threshold in budget.contact_thresholds]
         self._model_error = ModelError(budget.model_error, per_rad, at_rest)
-        self._mean_before = self._model_error.mean
         self._stop_limits = list(
             zip(budget.torque_thresholds, budget.torque_per_speed, budget.sudden_thresholds, strict=True)
         )
@@ -195,16 +194,6 @@ class SafetyMonitor:
     def sudden(self) -> Array:
         """External torque minus its slow mean at the last state, (n,), N m."""
         return self._last_residual - self._model_error.mean
-
-    @property
-    def model_error(self) -> tuple[float, ...]:
-        """Slow mean of the external torque from before the contact, if there is one.
-
-        In quasi-static motion it is what the model lacks. (n,), N m.
-        """
-        mean = self._mean_before if self.in_contact else self._model_error.mean
-        joints = zip(mean, self.budget.handover_thresholds, strict=True)
-        return tuple([-limit if slow < -limit else limit if slow > limit else slow for slow, limit in joints])
 
     def update(self, residual: Array, q: Array, v: Array, known_for: float = math.inf) -> None:
         """Take the external torque of one state.
@@ -299,7 +288,6 @@ class SafetyMonitor:
             self._touched += 1
             if not self.in_contact and self._touched >= self._contact_debounce:
                 self.in_contact = True
-                self._mean_before = self._model_error.mean
                 self.contacts += 1
             return
         self._touched = 0

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST
+from contact_reach_ros.control.stop_watch import CREEP, REST_WITHIN, SPEED_DEBOUNCE, SPEED_GAIN
 
 from contact_reach_ros.arm import REST_SPEED
 from contact_reach_ros.control.settings import SupervisionSettings
-from contact_reach_ros.control.stop_watch import CREEP, REST_WITHIN, SPEED_DEBOUNCE, SPEED_GAIN
 from contact_reach_ros.control.supervisor import TRANSITIONS, Event, Mode, Supervisor
 from contact_reach_ros.errors import InputError, Verdict
 

@@ -1,0 +1,111 @@
+"""The compliant stop: gravity, damping, and a hold that yields. It can only take energy out of the arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.control.kernels import Constant, stopping_torque, yielded
+
+BRAKING_TIME = 0.1
+"""Time in which a moving arm is braked, s."""
+GIVING_TIME, GIVING_WAY = 0.5, 0.005
+"""Until when after the stop the hold gives way, s, and how far the tip then moves at most, m: so far that what the arm
+presses is let go, and no farther, as it may be a weight."""
+_GIVING_CONSTANT = 0.06
+"""Time constant with which its tension goes meanwhile, s."""
+_CARRIED_CONSTANT = 0.06
+"""The same of the tension with which the stop begins, s."""
+_CARRIED_SHARE = 0.05
+"""Stiffness of the springs that have that tension, as a share of the hold's."""
+_HOLD_SHARE = 0.5
+"""Natural frequency of arm and hold as a share of the damping's rate: critically damped."""
+
+
+class PassiveStop:
+    """Torque of one stop after the other.
+
+    Springs are anchored where the joints are. Above the yield torque of a joint the anchor follows, as in dry friction:
+    what is lighter is held, and a hand that pushes harder moves the arm. Damping and stiffness are in proportion to the
+    mass matrix, so that every motion of the arm is damped alike. No estimate of an external torque enters.
+    """
+
+    def __init__(self, arm: Arm, constants: Array, hold: Sequence[float] | None = None) -> None:
+        """Make one that has not begun.
+
+        Parameters
+        ----------
+        arm
+            That is stopped.
+        constants
+            Of `make_constants`.
+        hold
+            Yield torques (n,), N m; by default the arm's limits at hand-over.
+        """
+        self._constants = constants
+        # Whether the tool is there or not, and heavier than it should be: the arm is no lighter than without.
+        self._bare = None if arm.bare is None else RobotModel(arm.bare)
+        self._most: Array = np.array(arm.default("handover_thresholds") if hold is None else hold)
+        self._spread: Array | None = None
+        """(n, 2), rad, from the joints to the anchors of the hold and of the carried tension; None before the first."""
+        self._stiffness = np.eye(arm.n)
+        self._q = np.zeros(arm.n)
+        self._since = 0.0
+        self._gives = True
+        """Whether the hold still gives way."""
+        self._from = np.zeros(3)
+        """Where the tip was after the braking time, (3,), m."""
+
+    def begin(self) -> None:
+        """Anchor the hold anew, where the arm is at the next state."""
+        self._spread, self._since, self._gives = None, 0.0, True
+
+    def torque(self, model: RobotModel, q: Array, v: Array, previous: Array, period: float) -> Array:
+        """The torque (n,), N m; NaN if it is not finite.
+
+        Parameters
+        ----------
+        model
+            Updated for this state.
+        q, v
+            Joint positions (n,) rad and velocities (n,) rad/s.
+        previous, period
+            The last torque sent (n,), N m, and the time since then, s.
+        """
+        if self._bare is not None:
+            self._bare.update_dynamics(q)
+        mass_matrix = (self._bare or model).mass_matrix
+        tension = self._tension(model, mass_matrix, q, previous, period)
+        return stopping_torque(self._constants, mass_matrix, model.gravity, v, tension, previous, period)
+
+    def _tension(self, model: RobotModel, mass_matrix: Array, q: Array, previous: Array, period: float) -> Array:
+        """Tension (n,) of the hold and of what was carried before, N m."""
+        most = self._most
+        if self._spread is None:
+            self._stiffen(mass_matrix)
+            gravity = self._constants[Constant.GRAVITY_SHARE] * model.gravity
+            carried = yielded(previous - gravity, most, self._stiffness) / _CARRIED_SHARE
+            self._spread = np.column_stack([np.zeros(len(q)), np.linalg.solve(self._stiffness, carried)])
+        else:
+            self._spread -= (q - self._q)[:, None]
+        self._q, self._since = q, self._since + period
+        hold, carried = (self._stiffness @ self._spread).T
+        if (np.abs(hold) > most).any():
+            hold = yielded(hold, most, self._stiffness)
+            # Where the arm is moved to it may be lighter.
+            self._stiffen(mass_matrix)
+            self._spread[:, 0] = np.linalg.solve(self._stiffness, hold)
+        if self._since <= BRAKING_TIME:
+            self._from = model.position.copy()
+        elif self._since > GIVING_TIME or math.dist(model.position.tolist(), self._from.tolist()) > GIVING_WAY:
+            self._gives = False
+        constants = np.array([_GIVING_CONSTANT if self._gives else np.inf, _CARRIED_CONSTANT])
+        self._spread *= 1.0 - np.minimum(period / constants, 1.0)
+        return hold + _CARRIED_SHARE * carried
+
+    def _stiffen(self, mass_matrix: Array) -> None:
+        self._stiffness = (_HOLD_SHARE * self._constants[Constant.STOP_RATE, 0]) ** 2 * mass_matrix
