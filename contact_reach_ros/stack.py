@@ -162,7 +162,9 @@ class Stack:
         if isinstance(controller, Controller):
             self.controller = controller
         else:
-            self.controller = Controller(self.arm, controller or ControllerSettings(), period)
+            self.controller = Controller(
+                self.arm, controller or ControllerSettings(), period, hold=budget.handover_thresholds
+            )
         if isinstance(observer, Observer):
             self.observer = observer
         else:

@@ -284,6 +284,7 @@ class Controller:
             self.supervisor.happens(Event.PLAN_ENDED)
             self.resume(self._hold_torque())
             self._restart(q, now_ns)
+            self._stop.begin()
         if now_ns < self._last_ns:
             # The clock was set back: the elapsed times must not shrink with it.
             self._started_ns -= self._last_ns - now_ns

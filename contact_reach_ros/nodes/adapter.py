@@ -21,7 +21,11 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_stop_state
 from contact_reach_ros.messages.serialized import JointStateReader, joint_state_writer, read_command
 from contact_reach_ros.messages.values import read_settings
+from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
+from contact_reach_ros.ros.interfaces import OBSERVER
 from contact_reach_ros.ros.managed_node import StoppableNode
+from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.timing import Durations, StampOrder
 
@@ -134,7 +138,9 @@ class AdapterNode(StoppableNode):
         return EffortTarget(self, self.arm, settings, chosen.gravity_compensation)
 
     def _make_guard(self) -> CommandGuard:
-        return CommandGuard(self.arm, self.settings[""], self.period)
+        observer: Any = settings_of(self.ARGUMENTS, OBSERVER, OBSERVER_SECTIONS, self.arm)[""]
+        hold = load_budget(observer.contact_budget).resolve(self.arm).handover_thresholds
+        return CommandGuard(self.arm, self.settings[""], self.period, hold)
 
     def _forward(self, state: JointState) -> None:
         """Publish a joint state that the drive's messages contain."""

@@ -129,7 +129,8 @@ class ControllerNode(StoppableNode):
 
     def _make_controller(self) -> Controller:
         settings = ControllerSettings(self.settings["impedance"], self.settings["limits"], self.settings["supervision"])
-        return Controller(self.arm, settings, self.period)
+        hold = self.settings[BUDGET].handover_thresholds if self._watches else None
+        return Controller(self.arm, settings, self.period, hold=hold)
 
     def _make_watcher(self) -> Observer:
         settings = ObserverSettings.from_sections(self.settings)

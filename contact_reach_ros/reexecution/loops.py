@@ -208,7 +208,8 @@ class _ControllerLoop(_Loop):
     def __init__(self, inputs: RecordedInputs, other: Path | None) -> None:
         super().__init__("controller", inputs, other)
         sections = (self.settings[prefix] for prefix in ("impedance", "limits", "supervision"))
-        self.controller = Controller(inputs.arm, ControllerSettings(*sections), self.period)
+        hold = self.settings[BUDGET].handover_thresholds
+        self.controller = Controller(inputs.arm, ControllerSettings(*sections), self.period, hold=hold)
         self.watch = self.make_observer(self.controller.watch_period, locates=False)
         self.controller.watch_with(self.watch)
         self.residuals = inputs.by_stamp(EXTERNAL_TORQUE)

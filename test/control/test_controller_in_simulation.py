@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, VELOCITY_LIMITS, ClosedLoop, ideal_plant
-from contact_reach_ros.control.stop_watch import BRAKE_AFTER, REST_WITHIN
 
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import SupervisionSettings
-from contact_reach_ros.control.supervisor import Mode
+from contact_reach_ros.control.supervisor import REST_TIME, Mode
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene
@@ -62,21 +61,12 @@ def test_compliant_stop_brakes_a_fast_arm_even_when_commands_come_late(arm, late
     energy = [loop.v @ loop.v]
     for _ in loop.run(1.0):
         energy.append(loop.v @ loop.v)
-    # No joint swings up; what is left with the wrong model is the slow sinking under its wrong gravity.
+    # No joint swings up, nor does the arm sink under the wrong gravity.
     assert max(energy) < 1.1 * energy[0]
-    assert np.abs(loop.v).max() < (0.6 if arm else 0.05)
+    assert np.abs(loop.v).max() < 0.05
 
 
-def test_stopped_arm_gives_way_when_pushed():
-    loop = ClosedLoop(ideal_plant(), PATIENT)
-    loop.controller.stop("test")
-    start = loop.reference().position
-    loop.plant.data.xfrc_applied[loop.plant.model.body("lbr_link_7").id, :3] = (0.0, 10.0, 0.0)
-    loop.finish(1.0)
-    assert loop.reference().position[1] - start[1] > 0.05
-
-
-def test_a_stopped_arm_does_not_sink_with_a_wrong_model_whose_error_the_observer_has_found():
+def test_a_stopped_arm_does_not_sink_with_a_wrong_model():
     start = HOME + 0.4 * np.array([1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
     stack = Stack(Scene("sinking", ARM, 0, start, np.zeros(3), mismatch=MismatchSettings()), controller=PATIENT)
     stack.settle(1.5)
@@ -91,7 +81,7 @@ def test_a_stopped_arm_does_not_sink_with_a_wrong_model_whose_error_the_observer
 
 
 def test_a_stopped_arm_ends_in_the_brakes():
-    """It is carried by the model for `BRAKE_AFTER`, does not creep meanwhile, and can be released afterwards."""
+    """It is held for `REST_TIME`, and can be released afterwards."""
     stack = Stack(Scene("stopped", ARM, 0, HOME, np.zeros(3), mismatch=MismatchSettings()))
     stack.settle(1.0)
     stack.stop()
@@ -100,7 +90,7 @@ def test_a_stopped_arm_ends_in_the_brakes():
         stack.step()
         ticks += 1
         travel = max(travel, float(np.linalg.norm(stack.robot.plant.tip_position - stopped_at)))
-    assert BRAKE_AFTER <= ticks / 1000 < BRAKE_AFTER + REST_WITHIN
+    assert REST_TIME <= ticks / 1000 < REST_TIME + 0.1
     assert stack.controller.stop_reason == "stop requested"
     for _ in range(150):
         stack.step()
