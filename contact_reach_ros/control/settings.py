@@ -110,7 +110,7 @@ class SupervisionSettings(Settings):
     )
     drive_brakes: bool = setting(
         True,
-        "the drive brakes the arm when commands end; false: a stop is damped and carried for ever, however it goes",
+        "the drive brakes the arm when commands end; false: a stop holds the arm for as long as it lasts",
     )
 
     def __post_init__(self) -> None:

@@ -213,18 +213,14 @@ class TestBounds:
 
 
 class TestStop:
-    def test_it_is_damping_and_gravity_only(self, bench):
-        bench.plan(*[ASIDE] * 5)
-        bench.tick(count=100)
-        bench.controller.stop("test")
-        # What was commanded before fades away.
-        bench.tick(count=2000)
+    def test_it_is_damping_and_gravity_only(self, holding):
+        holding.controller.stop("test")
         v = np.full(ARM.n, 0.01)
-        damping = GRAVITY - bench.tick(v=v, count=100)
+        damping = GRAVITY - holding.tick(v=v, count=100)
         assert damping @ v > 0
-        twice = GRAVITY - bench.tick(v=2 * v, count=100)
+        twice = GRAVITY - holding.tick(v=2 * v, count=100)
         np.testing.assert_allclose(twice, 2 * damping, rtol=1e-6)
-        np.testing.assert_allclose(bench.tick(count=100), GRAVITY, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(holding.tick(count=100), GRAVITY, rtol=0, atol=1e-9)
 
     def test_an_activation_does_not_release_it(self, holding):
         holding.controller.stop("pushed")
