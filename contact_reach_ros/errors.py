@@ -60,7 +60,7 @@ class StopCode(Enum):
     """The external torque cannot be known, because of what the joint states carry."""
     MISSED_STATES = "missed states"
     """The external torque cannot be known, because joint states came too far apart: they were late, or who reads them
-    was. One watcher may miss states for a while if the other has seen them."""
+    was."""
     MODEL = "model"
     """At hand-over, the arm's weight differs from the model's."""
     ENCODER = "encoder"
@@ -111,11 +111,6 @@ def requested(text: str = "stop requested") -> StopReason:
 def internal(what: str, error: Exception) -> StopReason:
     """A stop because of a fault of the program in handling `what`."""
     return StopReason(StopCode.INTERNAL, f"internal error in handling {what}: {type(error).__name__}; see the log")
-
-
-def is_missing_states(reason: str) -> bool:
-    """Whether this is only that its watcher missed states, so that another one may know better."""
-    return code_of(reason) == StopCode.MISSED_STATES.value
 
 
 def with_sequel(reason: str, sequel: str) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array, JointState, link_frames
 from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.own_watch import BLIND_AFTER
 from contact_reach_ros.control.settings import disagreement, plan_basis
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError, Verdict, requested
 from contact_reach_ros.observer.budget import ContactBudget
@@ -171,7 +172,8 @@ class Stack:
             observer = observer or ObserverSettings()
             self.observer = Observer(self.arm, observer, budget, period)
             own_period = self.controller.watch_period
-            self.controller.watch_with(Observer(self.arm, observer, budget, own_period, locates=False))
+            watcher = Observer(self.arm, observer, budget, own_period, locates=False, blind_after=BLIND_AFTER)
+            self.controller.watch_with(watcher)
         if isinstance(planner, Planner):
             self.planner = planner
         elif planner is not None:

@@ -18,9 +18,6 @@ PAUSE = 0.1
 GAP_PERIODS = 3
 """A step between states of more than so many periods is a gap, over which nothing is known."""
 
-GAPS_IN_A_ROW = 5
-"""So many mean that the reader of the states is blind."""
-
 _KEPT = 60_000
 """Number of durations from which percentiles are computed."""
 

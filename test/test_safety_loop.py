@@ -11,20 +11,19 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from contact_reach_ros.arm import REST_SPEED, JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import torque_rates
-from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.controller import HELD_AFTER, Controller, ControllerSettings
 from contact_reach_ros.control.references import References
 from contact_reach_ros.control.supervisor import OBSERVER_TIMEOUT, Mode
 from contact_reach_ros.errors import InputError, Verdict
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import ObserverSettings
-from contact_reach_ros.timing import PAUSE
 
 SETTINGS = ControllerSettings()
 CAP = SETTINGS.limits.torque_share * TORQUE_LIMITS
 STEP = torque_rates(ARM, SETTINGS.limits) * TICK_NS / SECOND_NS * (1 + 1e-9)
 TIMEOUT_NS = round(OBSERVER_TIMEOUT * SECOND_NS)
-PAUSE_NS = round(PAUSE * SECOND_NS)
+PAUSE_NS = round(HELD_AFTER * SECOND_NS)
 ACTS = (Mode.HOLDING, Mode.TRACKING)
 UNKNOWN = np.full(ARM.n, math.nan)
 STARTED = 350
@@ -52,7 +51,7 @@ class SafetyLoop(RuleBasedStateMachine):
         self.sent: np.ndarray | None = None
         self.heartbeats = True
         self.verdict: Verdict | None = None
-        self.heard_ns = self.longest_gap_ns = 0
+        self.heard_ns = 0
         self.stopped = False
 
     # What happens
@@ -166,7 +165,6 @@ class SafetyLoop(RuleBasedStateMachine):
 
     def pass_clock(self, milliseconds: int) -> None:
         self.clock_ns += milliseconds * TICK_NS
-        self.longest_gap_ns = max(self.longest_gap_ns, milliseconds * TICK_NS)
 
     def pass_time(self, milliseconds: int) -> None:
         self.pass_clock(milliseconds)
@@ -188,7 +186,7 @@ class SafetyLoop(RuleBasedStateMachine):
 
     def hear(self, verdict: Verdict) -> None:
         self.controller.hear(verdict, self.clock_ns)
-        self.verdict, self.heard_ns, self.longest_gap_ns = verdict, self.clock_ns, 0
+        self.verdict, self.heard_ns = verdict, self.clock_ns
 
     def show(self, state: JointState) -> None:
         controller = self.controller
@@ -230,9 +228,9 @@ class SafetyLoop(RuleBasedStateMachine):
 
     @property
     def vouched_lately(self) -> bool:
-        """Whether nothing in the last report stops the arm, and it is not too old but for one pause of the process."""
+        """Whether nothing in the last report stops the arm, and it is not too old."""
         verdict, silence_ns = self.verdict, self.clock_ns - self.heard_ns
-        return verdict is not None and not verdict.reason and silence_ns - self.longest_gap_ns <= TIMEOUT_NS
+        return verdict is not None and not verdict.reason and silence_ns <= TIMEOUT_NS
 
     @invariant()
     def a_stop_stays_until_the_reset(self) -> None:

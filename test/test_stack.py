@@ -268,7 +268,7 @@ class TestFaults:
         assert stack.refused["joint states"] == stack.refused["observed joint states"] > 50
 
     def test_the_goal_is_withdrawn_when_the_robot_pauses_for_long(self):
-        for pause, is_left in ((0.5, True), (2.1, False)):
+        for pause, is_left in ((0.06, True), (0.5, False)):
             faults = [Silent("driver", duration=pause)]
             robot = EpisodeRobot(FREE_SCENE, faults=faults, noise_seed=0, period=0.005)
             stack = Stack(FREE_SCENE, planner=StayingCore(), robot=robot, period=0.005)

@@ -18,9 +18,9 @@ from contact_reach_ros.control.passive_stop import PassiveStop
 from contact_reach_ros.control.references import Reference, ReferenceQueue, References
 from contact_reach_ros.control.settings import AXIS, POSITION, ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.stability import check_gains
-from contact_reach_ros.control.supervisor import Event, Mode, Supervisor, check_start, check_state
+from contact_reach_ros.control.supervisor import OBSERVER, Event, Mode, Supervisor, check_start, check_state
 from contact_reach_ros.errors import InputError, Verdict
-from contact_reach_ros.timing import NANOSECONDS, PAUSE, StampOrder
+from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS, StampOrder
 
 if TYPE_CHECKING:
     from contact_reach_ros.observer.observer import Observer
@@ -33,6 +33,8 @@ MAX_PLAN_LEAD = 1.0
 """Time in the future above which the stamp of a plan is refused, s: such a stamp is from another clock."""
 MAX_PLAN_DURATION = 1.0
 """Duration above which a plan is refused, s: the arm would follow a planner that is gone."""
+HELD_AFTER = 0.02
+"""Time without a command after which a drive holds the arm by itself, s."""
 WATCH_RATE = 250.0
 """Joint states per second that the controller's own watch takes at most, Hz, each with the mean torque since the last:
 it is a second line of defence, and must leave the tick its time."""
@@ -128,6 +130,7 @@ class Controller:
         self._started_ns = 0
         self._last_ns = 0
         self._last_clock_ns: int | None = None
+        self._held_ns = round(max(HELD_AFTER, GAP_PERIODS * period) * NANOSECONDS)
         self._had_plan = False
 
     def watch_with(self, watcher: Observer) -> None:
@@ -163,7 +166,6 @@ class Controller:
     def activate(self) -> None:
         """Start again from the next joint state; a stop stays in force."""
         self._started = False
-        self.supervisor.wait()
 
     def update(self, state: JointState, clock_ns: int) -> Array | None:
         """Answer one joint state, which becomes `state` if it is new.
@@ -183,10 +185,8 @@ class Controller:
             for `not_yet` or because it is outside its limits. Nothing may be sent then.
         """
         stamp_ns, q, v, _ = state
-        if self._started:
-            self.supervisor.pass_time(clock_ns)
-            if not self.order.is_new(stamp_ns):
-                return None
+        if self._started and not self.order.is_new(stamp_ns):
+            return None
         self.stamp_ns = stamp_ns
         if not self._started:
             self.not_vouched = self.supervisor.not_vouched(clock_ns)
@@ -231,7 +231,7 @@ class Controller:
 
         `clock_ns`: time of its arrival on the watchdogs' clock.
         """
-        self.supervisor.hear_observer(verdict, clock_ns)
+        self.supervisor.hear(OBSERVER, verdict, clock_ns)
 
     def start(self, q: Array, v: Array, now_ns: int) -> None:
         """Begin to hold the arm in the given state; a stop stays in force.
@@ -278,8 +278,8 @@ class Controller:
         if self.mode is Mode.SILENT:
             self._last_ns = now_ns
             return None
-        if paused_ns > PAUSE * NANOSECONDS or not self.in_force:
-            # Others may move the arm meanwhile: it is guided by hand, or its driver starts again.
+        if paused_ns > self._held_ns or not self.in_force:
+            # The drive, or somebody else, may have moved the arm meanwhile: what is held is where it is now.
             self.references.clear(now_ns)
             self.supervisor.happens(Event.PLAN_ENDED)
             self.resume(self._hold_torque())

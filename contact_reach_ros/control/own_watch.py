@@ -7,19 +7,24 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from contact_reach_ros.arm import Array, JointState
-from contact_reach_ros.control.supervisor import Supervisor
-from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict
-from contact_reach_ros.timing import GAP_PERIODS, GAPS_IN_A_ROW, NANOSECONDS
+from contact_reach_ros.control.supervisor import OWN_WATCH, Supervisor
+from contact_reach_ros.errors import InputError, Verdict
+from contact_reach_ros.timing import NANOSECONDS
 
 if TYPE_CHECKING:
     from contact_reach_ros.observer.observer import Observer
+
+BLIND_AFTER = 0.075
+"""Time without a usable state after which the watch is blind, s.
+
+Linux stops real-time threads for 50 ms in one piece, and the drive holds an arm that nobody commands from 20 ms on.
+"""
 
 
 class OwnWatch:
     """Shows states to an observer of the controller's own, and its verdicts to the supervisor.
 
-    The observer takes at most one state in each of its periods, with the mean of the torques since the last. States
-    that are missing are noticed as at the full rate.
+    The observer takes at most one state in each of its periods, with the mean of the torques since the last.
     """
 
     def __init__(self, watcher: Observer, supervisor: Supervisor, period: float, watch_period: float) -> None:
@@ -29,9 +34,6 @@ class OwnWatch:
         # Half a period less for the jitter of stamps.
         self._step_ns = round((watch_period - 0.5 * period) * NANOSECONDS) if watch_period > period else 0
         """Least time between two of the watcher's states."""
-        self._gap_ns = GAP_PERIODS * round(period * NANOSECONDS)
-        self._gaps = 0
-        """Steps between states in a row that were longer."""
         self._shown_ns: int | None = None
         """Stamp of the watcher's last new state; None before the first."""
         self._last_ns = 0
@@ -40,7 +42,7 @@ class OwnWatch:
         """Mean of the torques (n,), N m, since the watcher's last state; None while there is none."""
         self._torques = 0
         """Number of torques in that mean, without those that are not known."""
-        supervisor.hear_own(Verdict(doubt="the controller's own watch has seen nothing yet"), 0)
+        supervisor.hear(OWN_WATCH, Verdict(doubt="the controller's own watch has seen nothing yet"), 0)
 
     def see(self, state: JointState, started: bool, clock_ns: int) -> None:
         """Take a state, old ones included; `started`: whether the arm is commanded."""
@@ -48,7 +50,6 @@ class OwnWatch:
         shown_ns, step_ns = self._shown_ns, stamp_ns - self._last_ns
         if shown_ns is None or step_ns > 0:
             self._last_ns = stamp_ns
-            self._gaps = self._gaps + 1 if step_ns > self._gap_ns else 0
             self._add(torque)
             if shown_ns is not None and stamp_ns < shown_ns + self._step_ns:
                 return
@@ -63,9 +64,10 @@ class OwnWatch:
             # Also when the clock was set back, and the watcher has agreed to that.
             self._shown_ns = self._last_ns = stamp_ns
             self._torque, self._torques = None, 0
-        if self._gaps >= GAPS_IN_A_ROW or report.due:
-            self._supervisor.hear_own(self._judge(report.verdict), clock_ns)
-        if report.due and report.verdict.reason and not started:
+        if not report.due:
+            return
+        self._supervisor.hear(OWN_WATCH, report.verdict, clock_ns)
+        if report.verdict.reason and not started:
             # Before the start there is nothing to stop: what has to be reset by hand is latched by the observer alone.
             with suppress(InputError):
                 self._watcher.reset()
@@ -75,12 +77,13 @@ class OwnWatch:
 
         Raises `InputError` if the arm moves or is still pushed, or the watch sees nothing.
         """
-        if not self._supervisor.own_reason:
+        if not self._watcher.report().verdict.reason:
             return
         self._watcher.reset()
-        self._supervisor.hear_own(self._judge(self._watcher.report().verdict), clock_ns)
-        if self._supervisor.own_reason:
-            raise InputError(f"the controller's own watch is stopped ({self._supervisor.own_reason})")
+        verdict = self._watcher.report().verdict
+        self._supervisor.hear(OWN_WATCH, verdict, clock_ns)
+        if verdict.reason:
+            raise InputError(f"the {OWN_WATCH} is stopped ({verdict.reason})")
 
     def _add(self, torque: Array | None) -> None:
         """Take one more torque (n,), N m, into the mean; one that is not known counts only while none is."""
@@ -95,11 +98,3 @@ class OwnWatch:
         else:
             # In this form the mean of equal torques is exact: a sensor that is stuck stays recognisable.
             self._torque = self._torque + (torque - self._torque) / self._torques
-
-    def _judge(self, verdict: Verdict) -> Verdict:
-        """The watcher's verdict, with the reason that states were missed unless it has another."""
-        if verdict.reason or self._gaps < GAPS_IN_A_ROW:
-            return verdict
-        text = f"blind: {self._gaps} states in a row came too late: look at the driver and the network"
-        missed = StopReason(StopCode.MISSED_STATES, text)
-        return verdict._replace(reason=missed, doubt=missed)

@@ -12,7 +12,7 @@ import numpy as np
 
 from contact_reach_ros.arm import REST_SPEED, Arm, Array, check_rest
 from contact_reach_ros.control.settings import SupervisionSettings
-from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict, is_missing_states, with_sequel
+from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict, with_sequel
 from contact_reach_ros.timing import NANOSECONDS, states_in
 
 
@@ -61,26 +61,23 @@ TRANSITIONS = {
 }
 """The state that an event leads to; an event that is not listed for a state changes nothing."""
 
-OBSERVER_TIMEOUT = 0.05
-"""Silence of the observer that stops the arm, s: five of its heartbeats."""
-OBSERVER_PATIENCE = 0.5
-"""Silence of the observer that stops the arm while the controller watches itself, s: nothing is left unwatched, and it
-may be a machine that is busy for a moment."""
-_PAUSE_PERIODS = 5
-"""Ticks further apart than so many periods mean that the controller itself was held up."""
-
-
+OBSERVER_TIMEOUT = 0.25
+"""Silence of the observer that stops the arm, s: the controller's own watch sees the states meanwhile."""
 SPEED_DEBOUNCE = 3
 """Time above a permitted speed that counts, ms: a single wrong state stops nothing."""
 REST_TIME = 0.3
 """Time at rest after which a stop ends in the drive's brakes, s: a rebound is over by then."""
 STOP_TIME = 1.0
 """Time after the stop at which it ends in any case, s."""
+OBSERVER, OWN_WATCH = "observer", "controller's own watch"
+"""Who watches the arm: the observer's node, and the same computation in the controller's process, without a message in
+between. Either one's stop counts."""
+
 _GIVEN_UP = "nothing is commanded any more, the drive takes over"
 
 
 class Supervisor:
-    """Keeps the state, and watches plan age, observer and joints.
+    """Keeps the state, and watches those who watch the arm, its joints and the age of plans.
 
     Times `clock_ns` are integer nanoseconds of the watchdogs' clock, which must never jump.
 
@@ -95,56 +92,36 @@ class Supervisor:
     def __init__(self, arm: Arm, settings: SupervisionSettings, period: float = 0.001) -> None:
         """`period`: nominal time between joint states, s."""
         self.mode = Mode.WAITING
-        self._arm = arm
-        self._pause_ns = _PAUSE_PERIODS * round(period * NANOSECONDS)
-        self._timeout_ns = max(round(OBSERVER_TIMEOUT * NANOSECONDS), self._pause_ns)
-        self._patience_ns = max(round(OBSERVER_PATIENCE * NANOSECONDS), self._timeout_ns)
-        self._velocity_debounce = states_in(SPEED_DEBOUNCE, period)
-        self._settings = settings
-        self._first_reason = ""
-        self._escalation = ""
-        self._stopped_ns: int | None = None
-        self._rested_ns: int | None = None
-        """Since when the stopped arm has been at rest; None while it moves."""
-        self._speed_limits = arm.velocity_limits
-        self._speed_list = arm.velocity_limits.tolist()
-        self._position_limits = list(zip(arm.lower.tolist(), arm.upper.tolist(), strict=True))
-        self._speeding = 0
-        self._observer_ns: int | None = None
-        self._verdict = Verdict()
-        self._own: Verdict | None = None
-        """Of the controller's own watch; None without one."""
-        self._own_ns = 0
-        self._missing_ns: int | None = None
-        """Since when the observer has missed states; None while it sees them."""
-        self._own_missing_ns: int | None = None
-        """The same for the controller's own watch."""
         self.longest_silence = 0.0
-        self._has_begun = self._is_early = False
-        """Whether there was a joint state; and whether, in simulated time, the last report came before it."""
-        self._has_forgiven = False
-        """Whether a pause of this process was taken off the observer's silence; its next report permits another."""
-        self._clock_ns: int | None = None
+        self._arm = arm
+        self._settings = settings
+        self._debounce = states_in(SPEED_DEBOUNCE, period)
+        self._limits = list(
+            zip(arm.joint_names, arm.lower.tolist(), arm.upper.tolist(), arm.velocity_limits.tolist(), strict=True)
+        )
+        self._reason = self._sequel = ""
+        self._speeding = 0
+        self._stop_ns: list[int] = []
+        """When the stop began, and since when the arm has been at rest in it, if it is."""
+        self._verdicts: dict[str, Verdict] = {}
+        """The last ones, by who gave them."""
+        self._heard_ns: int | None = None
+        """When the observer was heard last."""
 
     def happens(self, event: Event) -> bool:
         """Take an event other than a stop; returns whether it changed the state."""
         before = self.mode
         self.mode = TRANSITIONS.get((before, event), before)
         if event is Event.RESET:
-            self._first_reason = self._escalation = ""
+            self._reason = self._sequel = ""
             self._speeding = 0
             self.longest_silence = 0.0
         return self.mode is not before
 
     @property
     def torque_known(self) -> bool:
-        """Whether the acting torque is known, as the observer and the controller's own watch report it."""
-        return self._verdict.torque_known and (self._own is None or self._own.torque_known)
-
-    @property
-    def own_reason(self) -> str:
-        """Why the controller's own watch stops the arm; empty while it does not, or without one."""
-        return "" if self._own is None else self._own.reason
+        """Whether the acting torque is known, as all who watch report it."""
+        return all(verdict.torque_known for verdict in self._verdicts.values())
 
     @property
     def stopped(self) -> bool:
@@ -154,14 +131,14 @@ class Supervisor:
     @property
     def stop_reason(self) -> str:
         """Why the arm is stopped: the first reason, and why the stop was not enough; empty while it is not."""
-        return with_sequel(self._first_reason, self._escalation)
+        return with_sequel(self._reason, self._sequel)
 
     def stop(self, reason: str) -> None:
         """Latch the compliant stop; the first reason is kept."""
         if not self.stopped:
             self.mode = TRANSITIONS[self.mode, Event.STOP]
-            self._first_reason = reason
-            self._stopped_ns = self._rested_ns = None
+            self._reason = reason
+            self._stop_ns = []
 
     def watch_stop(self, v: Array, clock_ns: int) -> None:
         """End a stop in the drive's brakes, as soon as the arm rests, or else after `STOP_TIME`.
@@ -171,17 +148,17 @@ class Supervisor:
         """
         if self.mode is not Mode.STOPPED:
             return
-        if self._stopped_ns is None:
-            self._stopped_ns = clock_ns
         speed = float(np.abs(v).max())
+        self._stop_ns = self._stop_ns or [clock_ns]
         if speed > REST_SPEED:
-            self._rested_ns = None
-        elif self._rested_ns is None:
-            self._rested_ns = clock_ns
-        is_late = clock_ns - self._stopped_ns >= STOP_TIME * NANOSECONDS
+            self._stop_ns = self._stop_ns[:1]
+        elif len(self._stop_ns) == 1:
+            self._stop_ns.append(clock_ns)
+        began_ns, *rested = self._stop_ns
+        is_late = clock_ns - began_ns >= STOP_TIME * NANOSECONDS
         has_brakes = self._settings.drive_brakes
-        if self._rested_ns is not None:
-            if has_brakes and (is_late or clock_ns - self._rested_ns >= REST_TIME * NANOSECONDS):
+        if rested:
+            if has_brakes and (is_late or clock_ns - rested[0] >= REST_TIME * NANOSECONDS):
                 self.happens(Event.RESTED)
         elif is_late and (has_brakes or self._settings.adapter):
             joint = self._arm.joint_names[int(np.abs(v).argmax())]
@@ -189,7 +166,7 @@ class Supervisor:
 
     def _give_up(self, why: str) -> None:
         if self.happens(Event.NO_REST):
-            self._escalation = f"{why}; {_GIVEN_UP}" if why else _GIVEN_UP
+            self._sequel = f"{why}; {_GIVEN_UP}" if why else _GIVEN_UP
 
     def check_reset(self, q: Array, v: Array, clock_ns: int) -> None:
         """Refuse a reset unless the arm rests within its limits and the observer is alive and not stopped.
@@ -198,110 +175,62 @@ class Supervisor:
         """
         check_start(self._arm, q, v)
         check_rest(v)
-        if self._verdict.reason:
-            raise InputError(f"the observer is stopped ({self._verdict.reason}): reset the observer first")
-        if self._silent_for(clock_ns) > self._timeout_ns:
+        if reason := self._verdicts.get(OBSERVER, Verdict()).reason:
+            raise InputError(f"the observer is stopped ({reason}): reset the observer first")
+        if self._silence(clock_ns) > OBSERVER_TIMEOUT:
             raise InputError("the observer is silent: start it, then reset")
 
-    def hear_observer(self, verdict: Verdict, clock_ns: int) -> None:
-        """Take a report of the observer, which is also its heartbeat; a reason in it stops the arm once it has started.
+    def hear(self, name: str, verdict: Verdict, clock_ns: int) -> None:
+        """Take a report of `OBSERVER` or `OWN_WATCH`; a reason in it stops the arm once it has started.
 
-        While the controller's own watch is healthy, missed states do not stop the arm: the observer's process was held
-        up, and the states have been seen.
-
-        `clock_ns`: time of its arrival on the watchdogs' clock.
+        That of the observer is also its heartbeat. `clock_ns`: time of its arrival on the watchdogs' clock.
         """
-        self._observer_ns, self._has_forgiven = clock_ns, False
-        self._is_early = clock_ns == 0 and not self._has_begun
-        self._verdict = verdict
-        self._missing_ns = _since(self._missing_ns, verdict, clock_ns)
-        if not (self._may_miss(self._missing_ns, clock_ns) and self.own_vouches(clock_ns)):
-            self._act_on(verdict)
-
-    def hear_own(self, verdict: Verdict, clock_ns: int) -> None:
-        """Take a report of the controller's own watch, which counts as much as the observer's.
-
-        It may miss states for as long as the observer may, while the observer is healthy.
-        """
-        self._own, self._own_ns = verdict, clock_ns
-        self._own_missing_ns = _since(self._own_missing_ns, verdict, clock_ns)
-        if not (self._may_miss(self._own_missing_ns, clock_ns) and self._observer_vouches(clock_ns)):
-            self._act_on(verdict)
-
-    def _may_miss(self, missing_ns: int | None, clock_ns: int) -> bool:
-        """Whether a watcher that has missed states since then may go on to."""
-        return missing_ns is not None and clock_ns - missing_ns <= self._patience_ns
-
-    def _act_on(self, verdict: Verdict) -> None:
+        self._verdicts[name] = verdict
+        if name == OBSERVER:
+            self._heard_ns = clock_ns
         if self.mode is Mode.WAITING:
             return
         if verdict.reason:
             self.stop(verdict.reason)
         if verdict.distrust:
             self.stop(verdict.distrust)
-            self._give_up("" if verdict.distrust == self._first_reason else verdict.distrust)
+            self._give_up("" if verdict.distrust == self._reason else verdict.distrust)
 
     def not_vouched(self, clock_ns: int) -> str:
         """Why the arm must not be started: nobody watches it, or not as it should be; empty when it may."""
         if not self._settings.require_observer:
             return ""
-        self._has_begun = True
-        if self._observer_ns is None or self._heard_before_time(clock_ns):
+        if self._heard_ns is None:
             return "nothing heard from the observer yet: start it, or set supervision.require_observer to false"
-        if self._silent_for(clock_ns) > self._timeout_ns:
+        if self._silence(clock_ns) > OBSERVER_TIMEOUT:
             return "the observer is silent: start it again"
-        doubt = self._verdict.reason or self._verdict.doubt
-        if self._own is not None:
-            doubt = doubt or self._own.reason or self._own.doubt
+        doubts = (verdict.reason or verdict.doubt for verdict in self._verdicts.values())
+        doubt = next(filter(None, doubts), "")
         return f"the observer does not confirm the joint states: {doubt}" if doubt else ""
 
-    def pass_time(self, clock_ns: int) -> None:
-        """Note that a joint state has arrived, even one that is refused: this process is not held up."""
-        self._heard_before_time(clock_ns)
-        pause_ns = 0 if self._clock_ns is None else clock_ns - self._clock_ns
-        self._clock_ns = clock_ns
-        if pause_ns > self._pause_ns:
-            # This process was held up itself, with its own watch, and has not yet read what the observer reported.
-            self._own_ns += pause_ns
-            if self._observer_ns is not None and not self._has_forgiven:
-                self._observer_ns += pause_ns
-                self._has_forgiven = True
-
-    def wait(self) -> None:
-        """Note that no joint states are taken for a while, which is no pause of this process."""
-        self._clock_ns = None
-
     def watch_observer(self, clock_ns: int) -> None:
-        """Stop when the observer has been silent for too long; unless required, it may never have reported.
-
-        While the controller's own watch is healthy nothing goes unseen, and the observer may take longer.
-        """
-        self.pass_time(clock_ns)
-        silence_ns = self._silent_for(clock_ns)
-        self.longest_silence = max(self.longest_silence, silence_ns / NANOSECONDS)
-        if silence_ns > (self._patience_ns if self.own_vouches(clock_ns) else self._timeout_ns):
-            self.stop(StopReason(StopCode.OBSERVER_SILENT, f"observer silent for {silence_ns / 1e6:.0f} ms"))
+        """Stop when the observer has been silent for too long; unless required, it may never have reported."""
+        silence = self._silence(clock_ns)
+        self.longest_silence = max(self.longest_silence, silence)
+        if silence > OBSERVER_TIMEOUT:
+            self.stop(StopReason(StopCode.OBSERVER_SILENT, f"observer silent for {1e3 * silence:.0f} ms"))
 
     def watch_joints(self, q: Array, v: Array) -> None:
         """Stop when a joint is beyond its position limit, or faster than permitted for some states in a row."""
+        is_fast = False
         # For so few numbers a loop is faster than NumPy.
-        for index, (angle, (lower, upper)) in enumerate(zip(q.tolist(), self._position_limits, strict=True)):
+        for angle, speed, (name, lower, upper, limit) in zip(q.tolist(), v.tolist(), self._limits, strict=True):
             if not lower <= angle <= upper:
-                limit = lower if angle < lower else upper
-                name = self._arm.joint_names[index]
-                text = f"{name} at {angle:.3f} rad is beyond its position limit, {limit:.3f} rad"
+                beyond = lower if angle < lower else upper
+                text = f"{name} at {angle:.3f} rad is beyond its position limit, {beyond:.3f} rad"
                 self.stop(StopReason(StopCode.POSITION_LIMIT, text))
-        for speed, limit in zip(v.tolist(), self._speed_list, strict=True):
-            if not -limit <= speed <= limit:
-                break
-        else:
-            self._speeding = 0
-            return
-        self._speeding += 1
-        if self._speeding >= self._velocity_debounce:
-            joint = int(np.argmax(np.abs(v) / self._speed_limits))
-            speed, limit = abs(v[joint]), self._speed_limits[joint]
-            text = f"{self._arm.joint_names[joint]} moves with {speed:.2f} rad/s, permitted {limit:.2f} rad/s"
+            is_fast = is_fast or not -limit <= speed <= limit
+        self._speeding = self._speeding + 1 if is_fast else 0
+        if self._speeding >= self._debounce:
+            limits = self._arm.velocity_limits
+            joint = int(np.argmax(np.abs(v) / limits))
+            name, speed, limit = self._arm.joint_names[joint], abs(v[joint]), limits[joint]
+            text = f"{name} moves with {speed:.2f} rad/s, permitted {limit:.2f} rad/s"
             self.stop(StopReason(StopCode.SPEED_LIMIT, text))
 
     def watch_hold(self, held_for: float, had_plan: bool) -> None:
@@ -310,33 +239,12 @@ class Supervisor:
         if had_plan and held_for > limit:
             self.stop(StopReason(StopCode.NO_PLAN, f"no valid plan for {limit:g} s"))
 
-    def _observer_vouches(self, clock_ns: int) -> bool:
-        """Whether the observer, heard of not long ago, has nothing against the arm's motion."""
-        heard = self._observer_ns is not None and self._silent_for(clock_ns) <= self._timeout_ns
-        return heard and not self._verdict.reason and not self._verdict.doubt
-
-    def own_vouches(self, clock_ns: int) -> bool:
-        """Whether the controller's own watch, which is not late, has nothing against the arm's motion."""
-        own = self._own
-        return own is not None and not own.doubt and clock_ns - self._own_ns <= self._timeout_ns
-
-    def _heard_before_time(self, clock_ns: int) -> bool:
-        """Whether the observer's last report came before simulated time began; it counts from now on."""
-        if not self._is_early:
-            return False
-        self._observer_ns, self._is_early = clock_ns, False
-        return True
-
-    def _silent_for(self, clock_ns: int) -> int:
-        """Time since the observer's last report, ns; 0 before the first."""
-        return 0 if self._observer_ns is None else clock_ns - self._observer_ns
-
-
-def _since(missing_ns: int | None, verdict: Verdict, clock_ns: int) -> int | None:
-    """Since when a watcher has missed states, after one more verdict; None if it sees them."""
-    if not is_missing_states(verdict.reason):
-        return None
-    return clock_ns if missing_ns is None else missing_ns
+    def _silence(self, clock_ns: int) -> float:
+        """Time since the observer's last report, s; 0 before the first."""
+        if self._heard_ns == 0:
+            # It came before simulated time began, and counts from now on.
+            self._heard_ns = clock_ns
+        return 0.0 if self._heard_ns is None else (clock_ns - self._heard_ns) / NANOSECONDS
 
 
 def check_start(arm: Arm, q: Array, v: Array) -> None:

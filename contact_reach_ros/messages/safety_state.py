@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from contact_reach_ros.arm import Arm
-from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict, code_of, is_missing_states
+from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict, code_of
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
 
@@ -28,9 +28,6 @@ DOUBT = "doubt"
 
 TORQUE = "acting torque"
 """Key of whether the acting torque is known."""
-
-_OBSERVER = "observer"
-"""Name of the node in its messages."""
 
 _ADAPTER, _WAITING = "adapter", "waiting"
 
@@ -67,12 +64,8 @@ def read_level(message: Any) -> int:
 
 
 def is_stopped(message: Any) -> bool:
-    """Whether a safety state of any node reports a stop.
-
-    An observer that missed states is in error, but the controller decides whether to stop the arm for that.
-    """
-    is_open = message.name == _OBSERVER and is_missing_states(read_reason(message))
-    return read_level(message) >= ERROR and not is_open
+    """Whether a safety state of any node reports a stop."""
+    return read_level(message) >= ERROR
 
 
 def read_verdict(message: Any) -> Verdict:

@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.own_watch import BLIND_AFTER
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, SupervisionSettings, differences, disagreement
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError, StopCode, StopReason
@@ -134,7 +135,8 @@ class ControllerNode(StoppableNode):
 
     def _make_watcher(self) -> Observer:
         settings = ObserverSettings.from_sections(self.settings)
-        return Observer(self.arm, settings, self.settings[BUDGET], self._controller.watch_period, locates=False)
+        budget, period = self.settings[BUDGET], self._controller.watch_period
+        return Observer(self.arm, settings, budget, period, locates=False, blind_after=BLIND_AFTER)
 
     def look_around(self) -> None:
         """Look for rivals, and for an observer whose settings differ: beside either the arm does not start."""

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from contact_reach_ros.errors import is_missing_states
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_safety_state
 from contact_reach_ros.messages.intake import Taken
@@ -98,11 +97,9 @@ class ObserverNode(StoppableNode):
         if report.due:
             if report.reason and report.has_news:
                 why = report.reason if report.distrust in ("", report.reason) else f"{report.reason}; {report.distrust}"
-                # Nothing is latched here by missed states, and the controller decides.
-                is_stop = not is_missing_states(report.reason)
                 # Bags must not end between a stop and what led to it.
                 self._intake.flush()
-                self.say(f"stop: {why}; call ~/reset to continue" if is_stop else why)
+                self.say(f"stop: {why}; call ~/reset to continue")
             self._safety.publish(to_safety_state(report, self.NAME, self.arm))
         if self._observer.updates % _WRENCH_EVERY == 0:
             self._write_wrench(

@@ -98,6 +98,7 @@ class Observer:
         budget: ContactBudget,
         period: float = 0.001,
         locates: bool = True,
+        blind_after: float = 0.25,
     ) -> None:
         """Make an observer that has seen nothing.
 
@@ -109,6 +110,8 @@ class Observer:
             Nominal time between joint states, s.
         locates
             Whether to locate contacts, which takes longer than everything else.
+        blind_after
+            Time without a state that an external torque follows from, after which it is blind, s.
         """
         budget = budget.resolve(arm)
         momentum = settings.momentum.resolve(arm)
@@ -120,7 +123,7 @@ class Observer:
         self.contact: Contact | None = None
         self.updates = 0
         self.order = StampOrder()
-        self.sight = Sight(arm, period)
+        self.sight = Sight(arm, period, blind_after)
         self._plausibility = PlausibilityCheck(arm, settings.plausibility, budget.contact_thresholds, period)
         self._torque_check = TorqueCheck(arm, period)
         self._locator = ContactLocator(model, budget.contact_thresholds)

@@ -8,10 +8,12 @@ import numpy as np
 
 from contact_reach_ros.arm import REST_SPEED, Arm, Array
 from contact_reach_ros.errors import StopCode, StopReason
-from contact_reach_ros.timing import GAPS_IN_A_ROW, NANOSECONDS, PAUSE, states_in
+from contact_reach_ros.timing import NANOSECONDS, PAUSE
 
-TAKEN_OVER = 100
-"""Time for which a moving arm may come without torques, ms: its drive holds it, and either gives it back or brakes."""
+STILL = 20
+"""So many states whose stamp is not new mean that the stamps have stopped."""
+_PERIODS = 4
+"""Least number of periods without a usable state that count as blindness."""
 
 
 class RateCheck:
@@ -76,11 +78,9 @@ class RateCheck:
 
 
 class Sight:
-    """Counts the joint states in a row from which no external torque follows.
+    """Watches for how long no external torque has followed from the joint states; for too long is blindness.
 
-    Torques may be unknown while the arm rests: its brakes are closed, and nobody has been handed the arm. They may be
-    unknown for `TAKEN_OVER` while it moves. Anything else that leaves the residual as it was for `GAPS_IN_A_ROW` states
-    is blindness.
+    Torques may be unknown while the arm rests: its brakes are closed, and nobody has been handed the arm.
 
     Attributes
     ----------
@@ -92,14 +92,15 @@ class Sight:
         Compares the stamps of the states with the nominal rate.
     """
 
-    def __init__(self, arm: Arm, period: float) -> None:
-        """`period`: nominal time between joint states, s."""
+    def __init__(self, arm: Arm, period: float, blind_after: float) -> None:
+        """`period`: nominal time between joint states, s; `blind_after`: time without a usable one, s."""
         self.blind = ""
         self.doubt = "no joint state with a torque yet"
         self.rate = RateCheck(period)
         self._names = arm.joint_names
-        self._taken_over = states_in(TAKEN_OVER, period)
-        self._unseen = 0
+        self._limit_ns = round(max(blind_after, _PERIODS * period) * NANOSECONDS)
+        self._seen_ns: int | None = None
+        """Stamp of the last usable state."""
         self._repeated = 0
         self._has_advanced = False
 
@@ -123,15 +124,16 @@ class Sight:
         self._has_advanced = self._has_advanced or self.rate.steps > 0
         self.rate.update(stamp_ns)
         if seen:
-            self._unseen, self.blind = 0, ""
+            self._seen_ns, self.blind = stamp_ns, ""
             self.doubt = self.rate.mismatch()
             return
         speed = float(np.abs(v).max())
         if not known and not missing and speed <= REST_SPEED:
-            self._unseen, self.blind, self.doubt = 0, "", ""
+            self._seen_ns, self.blind, self.doubt = stamp_ns, "", ""
             return
-        self._unseen += 1
-        if self._unseen >= (GAPS_IN_A_ROW if known or missing else self._taken_over):
+        if self._seen_ns is None or stamp_ns < self._seen_ns:
+            self._seen_ns = stamp_ns
+        if stamp_ns - self._seen_ns > self._limit_ns:
             if missing or not known:
                 self._lose(missing or self._explain_motion(v))
             else:
@@ -141,7 +143,7 @@ class Sight:
         """Take a state whose stamp is not new; returns whether the stamps have stopped."""
         self._repeated += 1
         # The first state may come again and again, until everybody has received it.
-        if self._repeated < 4 * GAPS_IN_A_ROW or not self._has_advanced:
+        if self._repeated < STILL or not self._has_advanced:
             return False
         self._lose("the stamps of joint_states do not advance: look at the driver's clock")
         return True

@@ -12,7 +12,7 @@ import numpy as np
 from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.settings import AXIS, POSE, POSITION
-from contact_reach_ros.errors import InputError, PlanningError, is_missing_states
+from contact_reach_ros.errors import InputError, PlanningError
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import SafetyReport
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress, GoalState
@@ -271,11 +271,8 @@ class Planner:
         self.obstacles.see(obstacles, now_ns if stamp_ns is None else stamp_ns)
 
     def hear(self, report: SafetyReport) -> None:
-        """Take a report of the observer: a stop withdraws the goal, unexpected contact changes what is planned.
-
-        One that missed states is no stop: the controller decides about that.
-        """
-        if report.reason and not is_missing_states(report.reason):
+        """Take a report of the observer: a stop withdraws the goal, unexpected contact changes what is planned."""
+        if report.reason:
             self.withdraw(f"the observer stopped the arm ({report.reason})")
         else:
             self.touched(report.contact)

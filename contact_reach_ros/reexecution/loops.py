@@ -10,12 +10,13 @@ import contextlib
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.own_watch import BLIND_AFTER
 from contact_reach_ros.errors import BagError, InputError, requested
 from contact_reach_ros.messages.intake import TOPICS, Taken
 from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
@@ -143,10 +144,10 @@ class _Loop:
             self._notes(),
         )
 
-    def make_observer(self, period: float, locates: bool = True) -> Observer:
+    def make_observer(self, period: float, **options: Any) -> Observer:
         """The observer of the node's settings, for states every `period` seconds."""
         settings = ObserverSettings.from_sections(self.settings)
-        return Observer(self.inputs.arm, settings, self.settings[BUDGET], period, locates=locates)
+        return Observer(self.inputs.arm, settings, self.settings[BUDGET], period, **options)
 
     def give(self, row: Row, stamp_ns: int, value: Array, recorded: Array | None) -> None:
         """Compare an output with the recorded one, unless the bag lacks it."""
@@ -210,7 +211,7 @@ class _ControllerLoop(_Loop):
         sections = (self.settings[prefix] for prefix in ("impedance", "limits", "supervision"))
         hold = self.settings[BUDGET].handover_thresholds
         self.controller = Controller(inputs.arm, ControllerSettings(*sections), self.period, hold=hold)
-        self.watch = self.make_observer(self.controller.watch_period, locates=False)
+        self.watch = self.make_observer(self.controller.watch_period, locates=False, blind_after=BLIND_AFTER)
         self.controller.watch_with(self.watch)
         self.residuals = inputs.by_stamp(EXTERNAL_TORQUE)
         self.last_residual: Array | None = None

@@ -10,6 +10,7 @@ from arm_simulation import ARM, HOME, REST
 from contact_reach_ros.arm import REST_SPEED
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.control.supervisor import (
+    OBSERVER,
     REST_TIME,
     SPEED_DEBOUNCE,
     STOP_TIME,
@@ -97,9 +98,9 @@ class TestStop:
         assert (stopped.mode, stopped.stop_reason) == (Mode.STOPPED, "pushed")
 
     def test_joint_states_that_the_observer_distrusts(self, supervisor):
-        supervisor.hear_observer(Verdict("too much torque"), 0)
+        supervisor.hear(OBSERVER, Verdict("too much torque"), 0)
         assert supervisor.mode is Mode.STOPPED
-        supervisor.hear_observer(Verdict("too much torque", "encoder stuck"), 1)
+        supervisor.hear(OBSERVER, Verdict("too much torque", "encoder stuck"), 1)
         assert supervisor.mode is Mode.SILENT
         assert supervisor.stop_reason.startswith("too much torque; encoder stuck; nothing is commanded")
 

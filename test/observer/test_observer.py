@@ -13,8 +13,7 @@ from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import HEARTBEAT, Observer, SafetyReport
 from contact_reach_ros.observer.safety import HANDOVER_TIME, SafetyLevel
 from contact_reach_ros.observer.settings import MomentumSettings, ObserverSettings
-from contact_reach_ros.observer.sight import TAKEN_OVER
-from contact_reach_ros.timing import GAPS_IN_A_ROW
+from contact_reach_ros.observer.sight import STILL
 
 BUDGET = ContactBudget().resolve(ARM)
 GRAVITY = RobotModel(ARM).gravity_at(HOME)
@@ -86,6 +85,10 @@ class TestDue:
         assert watched.run(300)[-1].contact is None
 
 
+BLIND_MS = 250
+"""Time without a usable state after which the observer is blind."""
+
+
 class TestTorque:
     """Either all joints' torques are known, or none."""
 
@@ -94,19 +97,19 @@ class TestTorque:
         torque = np.where(np.arange(ARM.n) == joint, value, GRAVITY)
         momentum = watched.observer.momentum
         residual, known_for = momentum.residual.copy(), momentum.known_for
-        reports = [watched.observer.update(watched.state(torque=torque)) for _ in range(GAPS_IN_A_ROW)]
+        reports = [watched.observer.update(watched.state(torque=torque)) for _ in range(BLIND_MS + 1)]
         np.testing.assert_array_equal(momentum.residual, residual)
         # The hand-over does not begin again.
-        assert (momentum.known_for, momentum.refused) == (known_for, GAPS_IN_A_ROW)
-        assert [report.level for report in reports] == [SafetyLevel.FREE] * (GAPS_IN_A_ROW - 1) + [SafetyLevel.BLIND]
+        assert (momentum.known_for, momentum.refused) == (known_for, BLIND_MS + 1)
+        assert [report.level for report in reports] == [SafetyLevel.FREE] * BLIND_MS + [SafetyLevel.BLIND]
         assert reports[-1].due and reports[-1].reason == reports[-1].doubt
         assert f"blind: joint_states carry no finite effort for {ARM.joint_names[joint]}" in reports[-1].reason
         assert reports[-1].reason.code is StopCode.BLIND
-        assert reports[-1].age == pytest.approx(0.001 * GAPS_IN_A_ROW)
+        assert reports[-1].age == pytest.approx(0.001 * (BLIND_MS + 1))
         assert watched.run(2)[-1].level is SafetyLevel.FREE
 
     def test_joint_states_without_efforts_make_it_blind(self, watched):
-        for _ in range(GAPS_IN_A_ROW):
+        for _ in range(BLIND_MS + 1):
             report = watched.observer.update(watched.state(torque=None))
         assert "blind: joint_states carry no effort" in report.reason
 
@@ -119,10 +122,10 @@ class TestTorque:
     def test_a_moving_arm_without_torques_is_given_to_its_drive_for_a_while_only(self, watched):
         speed = np.where(np.arange(ARM.n) == 2, 0.3, 0.0)
         reports = []
-        for _ in range(TAKEN_OVER):
+        for _ in range(BLIND_MS + 1):
             q = HOME + 0.001 * speed * (len(reports) + 1)
             reports.append(watched.observer.update(watched.state(torque=UNKNOWN, q=q, v=speed)))
-        assert [report.level for report in reports] == [SafetyLevel.FREE] * (TAKEN_OVER - 1) + [SafetyLevel.BLIND]
+        assert [report.level for report in reports] == [SafetyLevel.FREE] * BLIND_MS + [SafetyLevel.BLIND]
         assert f"no torque is known while {ARM.joint_names[2]} moves with 0.30 rad/s" in reports[-1].reason
 
 
@@ -141,7 +144,7 @@ def test_states_that_come_too_seldom_make_it_blind_and_the_rate_is_named(period_
     watched.period_ms = period_ms
     reports = watched.run(200)
     assert reports[0].doubt and not reports[0].reason
-    for report in reports[GAPS_IN_A_ROW:]:
+    for report in reports[BLIND_MS // period_ms + 2 :]:
         assert report.level is SafetyLevel.BLIND
         assert (
             f"joint states come at {1000 / period_ms:.0f} Hz, expected 1000 Hz: set the parameter state_rate"
@@ -161,8 +164,8 @@ def test_another_rate_that_can_be_watched_keeps_the_arm_from_being_started_but_d
 def test_stamps_that_stop_make_it_blind_and_ones_that_go_on_make_it_see(watched):
     state = watched.state()
     watched.observer.update(state)
-    reports = [watched.observer.update(state) for _ in range(4 * GAPS_IN_A_ROW)]
-    assert reports[:-1] == [None] * (4 * GAPS_IN_A_ROW - 1)
+    reports = [watched.observer.update(state) for _ in range(STILL)]
+    assert reports[:-1] == [None] * (STILL - 1)
     assert reports[-1].due and "the stamps of joint_states do not advance" in reports[-1].reason
     assert not watched.run(1)[0].reason
 
