@@ -61,8 +61,8 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "safety.release_debounce": _NOT_TUNED + "50 ms",
         "safety.handover_debounce": _NOT_TUNED + "30 ms",
         "safety.mean_time": _NOT_TUNED + "300 ms",
-        "safety.model_error_per_rad": _NOT_TUNED + "1 1/rad; scale model_error of the contact budget instead",
-        "safety.model_error_at_rest": _NOT_TUNED + "0.3; scale contact_thresholds of the contact budget instead",
+        "safety.model_error_per_rad": "leave it out: what counts as an error of the model follows from the posture",
+        "safety.model_error_at_rest": _NOT_TUNED + "10 % of contact_thresholds",
         "safety.reset_share": _NOT_TUNED + "0.5",
         "safety.reset_velocity": _NOT_TUNED + "0.05 rad/s",
         "plausibility.frozen_time": _NOT_TUNED + "30 ms",
@@ -160,7 +160,10 @@ SCENE_KEYS: Mapping[str, str] = {
 }
 """Keys of obstacles in scene files."""
 
-BUDGET_KEYS: Mapping[str, str] = {"handover_time": _NOT_TUNED + "0.3 s"}
+BUDGET_KEYS: Mapping[str, str] = {
+    "handover_time": _NOT_TUNED + "0.3 s",
+    "model_error": "leave it out: what counts as an error of the model follows from the arm's posture",
+}
 """Keys of the contact budget."""
 
 COMMANDS: Mapping[str, str] = {

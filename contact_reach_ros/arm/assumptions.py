@@ -32,7 +32,6 @@ def defaults(arm: Arm) -> dict[str, tuple[float, ...]]:
         "sudden_thresholds": 0.4 * stop,
         "contact_thresholds": np.clip(stop / 12.0, 1.4, 2.5),
         "contact_per_speed": np.clip(stop / 30.0, 0.5, 1.0),
-        "model_error": np.clip(0.25 * stop, 2.0, 8.0),
         "handover_thresholds": np.clip(0.25 * stop, 3.0, 10.0),
         # Zeros, as far as they are well within the limits.
         "reference_posture": np.clip(0.0, arm.lower + _HOME_MARGIN, arm.upper - _HOME_MARGIN),

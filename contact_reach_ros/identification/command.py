@@ -130,7 +130,6 @@ def describe(found: Identification, arm: Arm, budget: ContactBudget) -> str:
         ("contact_thresholds, Nm", budget.contact_thresholds, found.budget.contact_thresholds),
         ("sudden_thresholds, Nm", budget.sudden_thresholds, found.budget.sudden_thresholds),
         ("torque_thresholds, Nm", budget.torque_thresholds, found.budget.torque_thresholds),
-        ("model_error, Nm", budget.model_error, found.budget.model_error),
         ("handover_thresholds, Nm", budget.handover_thresholds, found.budget.handover_thresholds),
     ):
         texts = [f"{old:.2f} > {new:.2f}" for old, new in zip(before, after, strict=True)]

@@ -206,22 +206,22 @@ def watch(arm: Arm, settings: ObserverSettings, budget: ContactBudget, recording
 def propose(arm: Arm, budget: ContactBudget, seen: Watched, dry_friction: Sequence[float]) -> ContactBudget:
     """The budget with thresholds as low as the free motion permits; none is raised.
 
-    Those that report a contact, and the share that counts as an error of the model, keep a `MARGIN` over it. Those that
-    stop the arm are lowered by as much: what they permit beyond that is the permitted force. At rest `dry_friction`
-    (n,), N m, may carry any part of a weight: so much always counts as an error of the model.
+    Those that report a contact, and the part of those at hand-over that is an error of the model, keep a `MARGIN` over
+    it. Those that stop the arm are lowered by as much: what they permit beyond that is the permitted force. At rest
+    `dry_friction` (n,), N m, may carry any part of a weight: so much always counts as an error of the model.
     """
     budget = budget.resolve(arm)
     share = np.minimum(MARGIN * seen.used, 1.0)
     contact = _within("contact_thresholds", share * budget.contact_thresholds)
-    error = np.minimum(_within("model_error", np.maximum(MARGIN * seen.mean, dry_friction)), budget.model_error)
-    less, less_error = np.array(budget.contact_thresholds) - contact, np.array(budget.model_error) - error
+    handed_over = _within("handover_thresholds", np.maximum(MARGIN * seen.mean, dry_friction) + contact)
+    handed_over = np.minimum(handed_over, budget.handover_thresholds)
+    less, less_error = np.array(budget.contact_thresholds) - contact, budget.handover_thresholds - handed_over
     values = {
         "contact_thresholds": contact,
         "contact_per_speed": share * budget.contact_per_speed,
-        "model_error": error,
         "sudden_thresholds": _within("sudden_thresholds", budget.sudden_thresholds - less),
         "torque_thresholds": _within("torque_thresholds", budget.torque_thresholds - less_error),
-        "handover_thresholds": np.minimum(_within("handover_thresholds", error + contact), budget.handover_thresholds),
+        "handover_thresholds": handed_over,
     }
     rounded: dict[str, Any] = {name: tuple(np.round(value, 2).tolist()) for name, value in values.items()}
     return dataclasses.replace(budget, **rounded)

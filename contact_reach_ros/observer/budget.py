@@ -25,7 +25,7 @@ class ContactBudget(Settings):
     """Permitted contact.
 
     The thresholds on the external torque of joint i grow with its speed: ε_i = ε0_i + c_i |q̇_i|. Sudden torque is the
-    deviation from the external torque's own slow mean, which absorbs the error of the model up to `model_error`.
+    deviation from what an error of the model explains, see `Baseline`.
     Thresholds that are not given are the arm's own, see `resolve`.
     """
 
@@ -41,9 +41,6 @@ class ContactBudget(Settings):
         "sudden external torque on a joint that counts as contact", "Nm", 0.05
     )
     contact_per_speed: tuple[float, ...] = _per_joint("increase of the contact thresholds with speed", "Nm s/rad", 0.0)
-    model_error: tuple[float, ...] = _per_joint(
-        "external torque on a joint that may be attributed to an error of the model, friction included", "Nm", 0.1
-    )
     handover_thresholds: tuple[float, ...] = _per_joint(
         "external torque on a joint at hand-over that stops the arm: the model of its weight is wrong",
         "Nm",

@@ -119,7 +119,7 @@ class Observer:
         shifted = arm.with_center_shifts(momentum.center_shift_x, momentum.center_shift_y)
         model = RobotModel(shifted)
         self.momentum = MomentumObserver(settings.momentum, model, period)
-        self.monitor = SafetyMonitor(arm, settings.safety, budget, period)
+        self.monitor = SafetyMonitor(model, settings.safety, budget, period)
         self.contact: Contact | None = None
         self.updates = 0
         self.order = StampOrder()

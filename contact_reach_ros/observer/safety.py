@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from enum import Enum
 
 import numpy as np
 
-from contact_reach_ros.arm import Arm, Array, check_rest
+from contact_reach_ros.arm import Array, check_rest
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError, StopCode, StopReason
+from contact_reach_ros.observer.baseline import Baseline
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import SafetySettings
 from contact_reach_ros.timing import states_in
@@ -36,98 +37,15 @@ RELEASE_SHARE = 0.6
 """Share of the contact thresholds below which a contact ends: noise must not end it and begin another."""
 RELEASE_DEBOUNCE = 50
 """Time below that share that ends a contact, ms."""
-MEAN_TIME = 300
-"""Time constant of the slow mean of the external torque, ms: slower than a contact grows, faster than postures change
-the model's error."""
-MODEL_ERROR_PER_RAD = 1.0
-"""Greatest change of the slow mean with the posture, 1/rad, as a share of the budget's `model_error`."""
-MODEL_ERROR_AT_REST = 0.3
-"""Greatest change of the slow mean while the posture stays, as a share of the budget's `contact_thresholds`: what grows
-further in a resting arm is a contact."""
 RESET_SHARE = 0.5
 """Share of the thresholds below which a stop may be reset, so that the arm does not stop again at once."""
-
-_STEP = 0.01
-"""Distance between two postures from which on the arm has moved, rad: far above the noise of encoders."""
-
-_JUMP = 0.2
-"""Distance between the postures of two states that no arm covers, rad: an encoder jumped."""
-_CONTACT_MEMORY = 10
-_HANDOVER_MEAN = 10
-"""Time constant of the slow mean while the arm is handed over, ms."""
-
-
-class ModelError:
-    """Slow mean of the external torque, within what an error of the model explains.
-
-    Wrong weights cause a torque that follows from the posture alone: it is bounded, and so is its change per radian.
-    At rest only friction changes it. Whatever the external torque does beyond that is a contact, however slowly it
-    grows.
-
-    Attributes
-    ----------
-    mean
-        The slow mean, (n,), N m.
-    """
-
-    def __init__(self, bounds: Sequence[float], per_rad: Sequence[float], at_rest: Sequence[float]) -> None:
-        """Per joint (n,): greatest mean, N m, its greatest change per distance, N m/rad, and at rest, N m."""
-        self._bounds, self._per_rad, self._at_rest = bounds, per_rad, at_rest
-        self._posture: list[float] = []
-        """Where the arm was when it last counted as moved; empty before the first torque."""
-        self._anchor: list[float] = []
-        """What the mean may differ from by no more than at rest."""
-        self._ranges: list[tuple[float, float]] = []
-        self.mean = [0.0] * len(bounds)
-
-    def restart(self, mean: list[float], q: list[float]) -> None:
-        """Attribute torques (n,), N m, to the model at posture `q` (n,), rad, as far as the bounds permit."""
-        self._posture = q
-        self._set_anchor(mean)
-        self.mean = self._clipped(mean)
-
-    def follow(self, torques: list[float], q: list[float], states: int, freely: bool = False) -> None:
-        """Follow the external torques (n,), N m, at posture `q` (n,), rad, with a lag of so many states.
-
-        With `freely` they may change at rest, too. Torques that are not finite are ignored.
-        """
-        share = 1.0 / states
-        mean = [slow + share * (torque - slow) for torque, slow in zip(torques, self.mean, strict=True)]
-        if not math.isfinite(sum(mean)):
-            return
-        if freely or not self._posture:
-            self.restart(mean, q)
-            return
-        distance = math.dist(q, self._posture)
-        if distance > _STEP:
-            if distance < _JUMP:
-                self._move(mean, distance)
-            self._posture = q
-        self.mean = self._clipped(mean)
-
-    def _move(self, mean: list[float], distance: float) -> None:
-        limits = [slope * distance for slope in self._per_rad]
-        joints = zip(mean, self._anchor, limits, strict=True)
-        self._set_anchor([anchor + min(max(slow - anchor, -limit), limit) for slow, anchor, limit in joints])
-
-    def _set_anchor(self, anchors: list[float]) -> None:
-        self._anchor = [min(max(anchor, -bound), bound) for anchor, bound in zip(anchors, self._bounds, strict=True)]
-        joints = zip(self._anchor, self._at_rest, self._bounds, strict=True)
-        self._ranges = [(max(anchor - band, -bound), min(anchor + band, bound)) for anchor, band, bound in joints]
-
-    def _clipped(self, mean: list[float]) -> list[float]:
-        # For so few numbers comparisons of plain floats are faster than min and max, and those than NumPy.
-        return [
-            low if slow < low else high if slow > high else slow
-            for slow, (low, high) in zip(mean, self._ranges, strict=True)
-        ]
 
 
 class SafetyMonitor:
     """Watches the external torque; above the budget it latches a stop until `reset`.
 
-    The error of the model changes as slowly as the arm's posture, a contact does not. The monitor therefore watches the
-    external torque itself and, with much lower thresholds, its deviation from its own slow mean, see `ModelError`.
+    The monitor watches the external torque itself and, with much lower thresholds, its deviation from what an error of
+    the model explains, see `Baseline`.
 
     Attributes
     ----------
@@ -144,8 +62,21 @@ class SafetyMonitor:
         Number of contacts.
     """
 
-    def __init__(self, arm: Arm, settings: SafetySettings, budget: ContactBudget, period: float = 0.001) -> None:
-        """`period`: nominal time between states, s, which turns times into numbers of states."""
+    def __init__(
+        self, model: RobotModel, settings: SafetySettings, budget: ContactBudget, period: float = 0.001
+    ) -> None:
+        """Make a monitor that has seen nothing.
+
+        Parameters
+        ----------
+        model
+            Of the arm, see `Baseline`.
+        settings, budget
+            What is permitted.
+        period
+            Nominal time between states, s, which turns times into numbers of states.
+        """
+        arm = model.arm
         budget = budget.resolve(arm)
         self.settings = settings
         self._names = arm.joint_names
@@ -153,17 +84,13 @@ class SafetyMonitor:
         self._contact_debounce = states_in(settings.contact_debounce, period)
         self._handover_debounce = states_in(HANDOVER_DEBOUNCE, period)
         self._release_debounce = states_in(RELEASE_DEBOUNCE, period)
-        self._mean_states = states_in(MEAN_TIME, period)
-        self._handover_states = states_in(_HANDOVER_MEAN, period)
         self.budget = budget
         self.stop_reason = ""
         self.distrust = ""
         self.stops = 0
         self.in_contact = False
         self.contacts = 0
-        per_rad = [MODEL_ERROR_PER_RAD * bound for bound in budget.model_error]
-        at_rest = [MODEL_ERROR_AT_REST * threshold for threshold in budget.contact_thresholds]
-        self._model_error = ModelError(budget.model_error, per_rad, at_rest)
+        self._baseline = Baseline(model, budget.handover_thresholds, budget.contact_thresholds, period)
         self._stop_limits = list(
             zip(budget.torque_thresholds, budget.torque_per_speed, budget.sudden_thresholds, strict=True)
         )
@@ -176,7 +103,7 @@ class SafetyMonitor:
         self._handed_over_above = 0
         self._last_residual = np.zeros(arm.n)
         self._last_velocity = np.zeros(arm.n)
-        self._last_posture = [0.0] * arm.n
+        self._last_posture = np.zeros(arm.n)
 
     @property
     def stopped(self) -> bool:
@@ -192,8 +119,8 @@ class SafetyMonitor:
 
     @property
     def sudden(self) -> Array:
-        """External torque minus its slow mean at the last state, (n,), N m."""
-        return self._last_residual - self._model_error.mean
+        """External torque minus its baseline at the last state, (n,), N m."""
+        return self._last_residual - self._baseline.mean
 
     def update(self, residual: Array, q: Array, v: Array, known_for: float = math.inf) -> None:
         """Take the external torque of one state.
@@ -210,8 +137,8 @@ class SafetyMonitor:
         self._last_residual = residual
         self._last_velocity = v
         # For so few numbers loops over plain floats are faster than NumPy.
-        torques, posture, speeds, mean = residual.tolist(), q.tolist(), v.tolist(), self._model_error.mean
-        self._last_posture = posture
+        torques, speeds, mean = residual.tolist(), v.tolist(), self._baseline.mean
+        self._last_posture = q
         above = False
         touched = False
         contact_limits = self._release_limits if self.in_contact else self._contact_limits
@@ -231,13 +158,12 @@ class SafetyMonitor:
                 above = True
         if known_for < HANDOVER_TIME:
             self._hand_over(residual)
-            self._model_error.follow(torques, posture, self._handover_states, freely=True)
-            # Until the slow mean is known, nothing can be called sudden.
+            self._baseline.hand_over(residual, q)
+            # Until the baseline is known, nothing can be called sudden.
             above, touched = above and self._beyond_absolute(residual, v), False
         else:
             self._handed_over_above = 0
-            memory = _CONTACT_MEMORY if self.in_contact else 1
-            self._model_error.follow(torques, posture, memory * self._mean_states)
+            self._baseline.follow(torques, q, self.in_contact)
         self._above = self._above + 1 if above else 0
         if self._above >= self._debounce:
             self.stop(self._explain(residual, v))
@@ -262,7 +188,7 @@ class SafetyMonitor:
         check_rest(self._last_velocity)
         budget = self.budget
         # What would stop the arm again at once is no reason to let go either.
-        at_once = np.add(budget.model_error, budget.sudden_thresholds)
+        at_once = np.add(budget.handover_thresholds, budget.sudden_thresholds)
         limits = np.minimum(RESET_SHARE * np.array(budget.torque_thresholds), at_once)
         # Not `>`: a NaN residual is no reason to let go.
         pushed = ~(np.abs(self._last_residual) <= limits)
@@ -274,8 +200,7 @@ class SafetyMonitor:
             )
         self.stop_reason = self.distrust = ""
         self._above = self._touched = self._handed_over_above = 0
-        # Whatever the slow mean absorbed of the push that stopped the arm would be a sudden torque now.
-        self._model_error.restart(self._last_residual.tolist(), self._last_posture)
+        self._baseline.restart(self._last_residual, self._last_posture)
         self.in_contact = False
 
     def _scaled_contact_limits(self, share: float) -> list[tuple[float, float]]:

@@ -46,8 +46,8 @@ def test_thresholds_follow_and_none_is_raised(found):
     assert (np.divide(found.budget.contact_thresholds, before.contact_thresholds)[2:] < 0.7).all()
     assert found.budget.permitted_force == before.permitted_force
     # At rest, dry friction may carry so much.
-    carried = np.minimum(found.momentum.coulomb_friction, before.model_error)
-    assert (np.array(found.budget.model_error) >= carried - 0.01).all()
+    carried = np.minimum(found.momentum.coulomb_friction, before.handover_thresholds)
+    assert (np.array(found.budget.handover_thresholds) >= carried - 0.01).all()
 
 
 def test_links_that_differ_make_no_tool_of_negative_mass():

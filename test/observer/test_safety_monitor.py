@@ -8,11 +8,12 @@ from arm_simulation import ARM, HOME, REST
 from hypothesis import given
 from hypothesis import strategies as st
 
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.observer.baseline import MEAN_TIME
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.observer.safety import (
     HANDOVER_TIME,
-    MEAN_TIME,
     RELEASE_DEBOUNCE,
     SafetyLevel,
     SafetyMonitor,
@@ -20,6 +21,7 @@ from contact_reach_ros.observer.safety import (
 )
 
 SETTINGS = SafetySettings()
+MODEL = RobotModel(ARM)
 # Nothing is too sudden, so that the other thresholds can be told apart.
 BUDGET = ContactBudget(sudden_thresholds=(320.0,) * ARM.n).resolve(ARM)
 THRESHOLDS = np.array(BUDGET.torque_thresholds)
@@ -27,7 +29,7 @@ THRESHOLDS = np.array(BUDGET.torque_thresholds)
 
 @pytest.fixture
 def monitor() -> SafetyMonitor:
-    return SafetyMonitor(ARM, SETTINGS, BUDGET)
+    return SafetyMonitor(MODEL, SETTINGS, BUDGET)
 
 
 def residual(joint: int, share: float) -> np.ndarray:
@@ -42,7 +44,7 @@ def push(monitor: SafetyMonitor, torque: np.ndarray, count: int = SETTINGS.debou
 
 @given(st.lists(st.lists(st.floats(-1, 1), min_size=ARM.n, max_size=ARM.n), max_size=20))
 def test_contact_within_the_budget_does_not_stop_the_arm(shares):
-    monitor = SafetyMonitor(ARM, SETTINGS, BUDGET)
+    monitor = SafetyMonitor(MODEL, SETTINGS, BUDGET)
     for share in shares:
         monitor.update(np.array(share) * THRESHOLDS, HOME, REST)
     assert not monitor.stopped
@@ -89,7 +91,7 @@ def test_reset_of_a_moving_or_pushed_arm_is_refused(monitor, torque, speed, mess
 def test_an_arm_that_was_reset_is_not_stopped_again_by_the_same_torque(joint):
     budget = ContactBudget().resolve(ARM)
     for torque in np.linspace(0.0, 30.0, 61):
-        monitor = SafetyMonitor(ARM, SETTINGS, budget)
+        monitor = SafetyMonitor(MODEL, SETTINGS, budget)
         push(monitor, REST, 1)
         monitor.stop("test")
         push(monitor, torque * np.eye(ARM.n)[joint], 1)
@@ -107,10 +109,10 @@ def test_threshold_of_a_stop_grows_with_the_joints_speed(joint):
     speed = -0.8 * np.eye(ARM.n)[joint]
     allowed = THRESHOLDS + BUDGET.torque_per_speed[joint] * 0.8
     for share, stopped in ((0.99, False), (1.01, True)):
-        monitor = SafetyMonitor(ARM, SETTINGS, BUDGET)
+        monitor = SafetyMonitor(MODEL, SETTINGS, BUDGET)
         push(monitor, share * allowed * np.eye(ARM.n)[joint], v=speed)
         assert monitor.stopped is stopped
-    at_rest = SafetyMonitor(ARM, SETTINGS, BUDGET)
+    at_rest = SafetyMonitor(MODEL, SETTINGS, BUDGET)
     push(at_rest, 0.99 * allowed * np.eye(ARM.n)[joint])
     assert at_rest.stopped
 
@@ -123,12 +125,12 @@ class TestContact:
 
     @pytest.fixture
     def monitor(self) -> SafetyMonitor:
-        return SafetyMonitor(ARM, SETTINGS, self.budget)
+        return SafetyMonitor(MODEL, SETTINGS, self.budget)
 
     def test_each_joint_has_its_threshold(self):
         for torque in np.diag((-1.0) ** np.arange(ARM.n) * self.thresholds):
-            below, above = (SafetyMonitor(ARM, SETTINGS, self.budget) for _ in range(2))
-            push(below, 0.95 * torque, 50)
+            below, above = (SafetyMonitor(MODEL, SETTINGS, self.budget) for _ in range(2))
+            push(below, 0.99 * torque, 50)
             assert below.level is SafetyLevel.FREE
             push(above, 1.1 * torque, SETTINGS.contact_debounce)
             assert above.level is SafetyLevel.CONTACT and not above.stopped
@@ -143,41 +145,19 @@ class TestContact:
         assert monitor.level is SafetyLevel.FREE
         assert monitor.contacts == 1
 
-    def test_error_of_the_model_that_changes_slowly_is_no_contact(self, monitor):
-        weight = np.array([0.0, 7.0, 3.0, 4.0, 1.0, 0.5, 0.0])
-        for share in np.linspace(0.0, 1.0, 4000):
-            monitor.update(share * weight, HOME + share, REST)
-        assert monitor.contacts == 0
-        push(monitor, weight + np.array([0.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 3)
-        assert monitor.in_contact
-
-    @pytest.mark.parametrize(("torque", "moved"), [(5.0, 0.0), (5.0, 0.2), (15.0, 5.0)])
-    def test_a_torque_is_a_contact_however_slowly_it_grows_beyond_what_the_posture_explains(
-        self, monitor, torque, moved
-    ):
-        noise = 1e-4 * np.random.default_rng(0).standard_normal((20_000, ARM.n))
-        for share, angles in zip(np.linspace(0.0, 1.0, len(noise)), noise, strict=True):
-            angles[0] += share * moved
-            monitor.update(share * torque * np.eye(ARM.n)[1], HOME + angles, REST)
-        assert monitor.in_contact and not monitor.stopped
-
     def test_sudden_torque_stops_below_the_threshold_of_a_slow_one(self):
         torque = 1.1 * np.array(self.budget.sudden_thresholds)[1] * np.eye(ARM.n)[1]
         assert torque[1] < self.budget.torque_thresholds[1]
-        monitor = SafetyMonitor(ARM, SETTINGS, self.budget)
+        monitor = SafetyMonitor(MODEL, SETTINGS, self.budget)
         push(monitor, torque)
         assert monitor.level is SafetyLevel.COLLISION
         assert monitor.stop_reason.startswith("sudden external torque on lbr_A2 is 13.")
         assert monitor.stop_reason.endswith("permitted 12 Nm")
-        slow = SafetyMonitor(ARM, dataclasses.replace(SETTINGS, contact_debounce=100), self.budget)
-        for share in np.linspace(0.0, 1.0, 3000):
-            slow.update(share * torque, HOME + share, REST)
-        assert not slow.stopped
 
 
 def test_weight_that_the_model_does_not_know_stops_the_arm_at_hand_over_and_is_named():
     budget = ContactBudget().resolve(ARM)
-    monitor = SafetyMonitor(ARM, SETTINGS, budget)
+    monitor = SafetyMonitor(MODEL, SETTINGS, budget)
     for tick in range(round(HANDOVER_TIME * 1000)):
         monitor.update(1.1 * np.array(budget.handover_thresholds)[1] * np.eye(ARM.n)[1], HOME, REST, 1e-3 * tick)
     assert monitor.stop_reason.startswith("at hand-over the external torque on lbr_A2 is 11.0 Nm, permitted 10 Nm: ")
@@ -190,22 +170,11 @@ def test_weight_that_the_model_does_not_know_stops_the_arm_at_hand_over_and_is_n
     [(1, 0.01, 1), (3, 0.001, 3), (3, 0.005, 2), (100, 0.001, 100), (100, 0.005, 20), (100, 0.01, 10)],
 )
 def test_a_debounce_lasts_as_long_at_every_rate_and_at_least_two_states(debounce, period, states):
-    monitor = SafetyMonitor(ARM, SafetySettings(debounce=debounce), BUDGET, period)
+    monitor = SafetyMonitor(MODEL, SafetySettings(debounce=debounce), BUDGET, period)
     push(monitor, 1.1 * THRESHOLDS, states - 1)
     assert not monitor.stopped
     push(monitor, 1.1 * THRESHOLDS, 1)
     assert monitor.stopped
-
-
-@pytest.mark.parametrize("period", [0.001, 0.01])
-def test_the_slow_mean_follows_as_fast_at_every_rate(period):
-    budget = ContactBudget().resolve(ARM)
-    monitor = SafetyMonitor(ARM, SETTINGS, budget, period)
-    torque = 0.9 * np.array(budget.contact_thresholds)
-    for state in range(round(1e-3 * MEAN_TIME / period)):
-        monitor.update(torque, HOME + 0.05 * state, REST)
-    assert not monitor.in_contact
-    np.testing.assert_allclose(monitor.sudden, np.exp(-1.0) * torque, rtol=0.03)
 
 
 def test_the_packages_file_says_what_the_code_says_and_another_replaces_what_it_names(tmp_path):
