@@ -103,7 +103,9 @@ class FreeMotion:
             self._control()
         report = self.observer.update(self.state)
         if report is not None and report.due:
-            self._controller.hear(report.verdict._replace(reason="", distrust=""), self.state.stamp_ns)
+            self._controller.hear(
+                report.verdict._replace(reason="", distrust="", contact="", excess=False), self.state.stamp_ns
+            )
 
     def _control(self) -> None:
         robot, state = self._robot, self.state
@@ -123,7 +125,7 @@ class FreeMotion:
         postures = np.array([self._posture(time) for time in times])
         positions, rotations = zip(*(self._controller.model.tip_pose(posture) for posture in postures), strict=True)
         ends_ns = tuple(_PLAN_TICKS * _TICK_NS * (knot + 1) for knot in range(_KNOTS))
-        self._controller.references.offer(
+        self._controller.follower.queue.offer(
             References(now_ns, ends_ns, np.array(positions), np.array(rotations), postures), now_ns
         )
 

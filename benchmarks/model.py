@@ -25,7 +25,7 @@ from benchmarks.recorded_plans import RecordedPlan, record_plans
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.control.controller import blend
+from contact_reach_ros.control.follower import blend
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import AXIS, ImpedanceSettings
 from contact_reach_ros.planning.cost import ReferenceSpace

@@ -56,6 +56,8 @@ class StopCode(Enum):
     """External torque above the contact budget."""
     SUDDEN_TORQUE = "sudden torque"
     """Sudden external torque above its thresholds in the contact budget."""
+    CONTACT = "contact"
+    """A contact within the thresholds that did not end although the arm gave way."""
     BLIND = "blind"
     """The external torque cannot be known, because of what the joint states carry."""
     MISSED_STATES = "missed states"
@@ -101,6 +103,10 @@ class Verdict(NamedTuple):
     """Why the arm must not be started; empty when it may."""
     torque_known: bool = True
     """Whether the torque that acts on the arm is known. Behind closed brakes it is not, and no plan is followed."""
+    contact: str = ""
+    """Force and link of a contact that counts; empty without one."""
+    excess: bool = False
+    """Whether that contact has exceeded the permitted force for too long."""
 
 
 def requested(text: str = "stop requested") -> StopReason:

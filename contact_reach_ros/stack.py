@@ -180,7 +180,7 @@ class Stack:
             planner.reset()
             unexpected_contact = unexpected_contact or UnexpectedContactSettings()
             task = self.controller.settings.impedance.task
-            self.planner = Planner(self.arm, planner, replanning, unexpected_contact, task=task)
+            self.planner = Planner(self.arm, planner, replanning, unexpected_contact, task=task, budget=budget)
         else:
             self.planner = make_planner(
                 self.arm,
@@ -389,10 +389,15 @@ class Stack:
                 continue
             if report is not None and report.due:
                 self.controller.hear(report.verdict, self._clock_ns)
-                self.planner.hear(report)
-        if self.stop_reason and self.planner.goal is not None:
-            self.planner.withdraw(f"the arm was stopped ({self.stop_reason})")
+                self._give_up(self.planner.objection(report.contact, report.excess))
+        if self.stop_reason:
+            self._give_up(f"the arm was stopped ({self.stop_reason})")
         return report
+
+    def _give_up(self, why: str) -> None:
+        if why and self.planner.goal is not None:
+            self.planner.withdraw(why)
+            self.controller.withdraw()
 
     def _look(self) -> None:
         obstacles = self.robot.obstacles()
@@ -404,7 +409,7 @@ class Stack:
         if all(state is not self.state for state in self._arrived):
             return None
         try:
-            request = self.planner.request(self.state, self._clock_ns)
+            request = self.planner.request(self.state)
             return None if request is None else self._follow(self.planner.solve(request))
         except PlanningError as error:
             self.failure = str(error)
@@ -469,4 +474,5 @@ def make_planner(
     force, reach = (budget or ContactBudget()).permitted_force, controller.supervision.max_position_error
     core = RecedingHorizonPlanner(arm, planning, gains, force, capacity, reach, solver or HybridSolver)
     unexpected_contact = unexpected_contact or UnexpectedContactSettings()
-    return Planner(arm, core, replanning or ReplanningSettings(), unexpected_contact, task=gains.task)
+    replanning = replanning or ReplanningSettings()
+    return Planner(arm, core, replanning, unexpected_contact, task=gains.task, budget=budget)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.kernels import Constant
 from contact_reach_ros.control.settings import (
     SINGULARITY_FLOOR,
@@ -30,6 +33,12 @@ CEILING_SHARE = 0.9
 CEILING_RATE = 100.0
 """Greatest acceleration per speed left below that ceiling, and deceleration per speed above it, 1/s: ten states at the
 usual rate."""
+
+IMPACT_ENERGY = 0.13
+"""Kinetic energy in the direction of a point's motion beyond which the arm is not driven, J: a body of 75 N/mm is hit
+with 140 N."""
+POSTURE_REACH = 0.25
+"""Distance of a joint from its reference posture beyond which law (2) pulls no harder, rad: plans ask for less."""
 
 STOP_DELAY = 0.01
 """Delay of the drive and its filters that a stop stays stable with, besides a period, s."""
@@ -72,8 +81,38 @@ def make_constants(
         Constant.GRAVITY_SHARE: float(supervision.gravity_compensation),
         Constant.STOP_RATE: STOP_SHARE / (period + STOP_DELAY),
         Constant.TASK_ROWS: impedance.rows,
+        Constant.TIP_FORCE: limits.tip_force,
+        Constant.BODY_SPEED: limits.body_speed,
+        Constant.IMPACT_ENERGY: IMPACT_ENERGY,
+        Constant.POSTURE_REACH: POSTURE_REACH,
     }
     return np.array([np.broadcast_to(values[row], arm.n) for row in Constant])
+
+
+class Body(NamedTuple):
+    """Where the arm's joints are on each other, and points of it whose speed is limited.
+
+    Attributes
+    ----------
+    placements
+        (3 n, 4): of each joint's frame in that of the joint before it, rotation and translation, m; it turns about z.
+    links, points
+        (P,) indices of joints, and (P, 3) points that they move, m, in their frames: the ends of the capsules' axes.
+    """
+
+    placements: Array
+    links: Array
+    points: Array
+
+
+def body_of(model: RobotModel) -> Body:
+    """The body of an arm."""
+    arm, joints = model.arm, model.pinocchio
+    frames = [joints.jointPlacements[joints.getJointId(name)] for name in arm.joint_names]
+    placements = np.vstack([np.column_stack([frame.rotation, frame.translation]) for frame in frames])
+    ends = [(capsule.link - 1, end) for capsule in arm.capsules for end in (capsule.start, capsule.end)]
+    links, points = zip(*ends, strict=True)
+    return Body(placements, np.array(links, float), np.array(points, float))
 
 
 def torque_rates(arm: Arm, settings: LimitSettings) -> Array:

@@ -11,12 +11,13 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.constants import make_constants
-from contact_reach_ros.control.kernels import Constant, between, tracking_torque, turned
+from contact_reach_ros.control.constants import body_of, make_constants
+from contact_reach_ros.control.follower import Follower
+from contact_reach_ros.control.kernels import Constant, tracking_torque
 from contact_reach_ros.control.own_watch import OwnWatch
 from contact_reach_ros.control.passive_stop import PassiveStop
-from contact_reach_ros.control.references import Reference, ReferenceQueue, References
-from contact_reach_ros.control.settings import AXIS, POSITION, ImpedanceSettings, LimitSettings, SupervisionSettings
+from contact_reach_ros.control.references import References
+from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.control.stability import check_gains
 from contact_reach_ros.control.supervisor import OBSERVER, Event, Mode, Supervisor, check_start, check_state
 from contact_reach_ros.errors import InputError, Verdict
@@ -27,12 +28,6 @@ if TYPE_CHECKING:
 
 START_RAMP = 0.5
 """Time in which the laws reach full authority, s: a wrong model or plan shows as a slow motion first."""
-HOLD_BLEND = 0.3
-"""Time in which the reference decays to the present pose without a plan, s: the arm comes to rest meanwhile."""
-MAX_PLAN_LEAD = 1.0
-"""Time in the future above which the stamp of a plan is refused, s: such a stamp is from another clock."""
-MAX_PLAN_DURATION = 1.0
-"""Duration above which a plan is refused, s: the arm would follow a planner that is gone."""
 HELD_AFTER = 0.02
 """Time without a command after which a drive holds the arm by itself, s."""
 WATCH_RATE = 250.0
@@ -57,8 +52,8 @@ class Controller:
 
     Attributes
     ----------
-    references
-        Plans in force or waiting.
+    follower
+        What the law follows, and the plans in force or waiting.
     supervisor
         The state machine, and everything that stops the arm.
     state
@@ -74,8 +69,6 @@ class Controller:
     in_force
         Whether commands act on the arm, as an adapter reports. While they do not, the arm is held wherever it is, and
         no plan is followed.
-    error
-        Δx of the last tick, (6,), m and rad.
     """
 
     def __init__(
@@ -103,35 +96,27 @@ class Controller:
         self.arm = arm
         self.settings = settings
         self.model = RobotModel(arm)
-        self.references = ReferenceQueue(arm.n, MAX_PLAN_LEAD, MAX_PLAN_DURATION)
+        self.follower = Follower(arm.n, settings.impedance, settings.supervision)
         self.supervisor = Supervisor(arm, settings.supervision, period)
         self.order = StampOrder()
         self.state: JointState | None = None
         self.stamp_ns = 0
         self.not_yet = self.not_vouched = ""
         self.in_force = not settings.supervision.adapter
-        self.error = np.zeros(6)
+        self._found = np.zeros(7)
         self._watch: OwnWatch | None = None
         self._period = period
         self._watch_rate = watch_rate
         self._constants = make_constants(arm, settings.impedance, settings.limits, settings.supervision, period)
+        self._body = body_of(self.model)
         self._stop = PassiveStop(arm, self._constants, hold)
         self._sent = np.zeros(arm.n)
         """The last torque, which limits the change of the next one."""
         self._started = False
-        nowhere = Reference(np.zeros(3), np.eye(3), np.zeros(arm.n))
-        self._hold = self._blend_from = self._followed = self._ramp_from = nowhere
-        """`_followed`: the reference of the last tick."""
-        self._target: Reference | None = None
-        """The knot to which the reference is moving, or has moved."""
-        self._ramp_ns = round(settings.impedance.reference_ramp * NANOSECONDS)
-        self._ramp_since_ns = 0
-        self._hold_since_ns = 0
         self._started_ns = 0
         self._last_ns = 0
         self._last_clock_ns: int | None = None
         self._held_ns = round(max(HELD_AFTER, GAP_PERIODS * period) * NANOSECONDS)
-        self._had_plan = False
 
     def watch_with(self, watcher: Observer) -> None:
         """Take an observer for `watch`, which nobody else may use, if the settings want the controller to have one.
@@ -147,6 +132,16 @@ class Controller:
         """Nominal time between the states that the controller's own watch takes, s."""
         # Not more often: the next whole number, but for the rounding of the quotient.
         return self._period * max(1, math.ceil(1.0 / (self._watch_rate * self._period) - 1e-9))
+
+    @property
+    def error(self) -> Array:
+        """Δx of the last tick, (6,), m and rad."""
+        return self._found[:6]
+
+    @property
+    def speed_share(self) -> float:
+        """Greatest speed of a point of the arm at the last tick, as a share of the permitted one there."""
+        return float(self._found[6])
 
     @property
     def started(self) -> bool:
@@ -224,7 +219,11 @@ class Controller:
         InputError
             If they are malformed, no longer valid, too far ahead, or from before the last stop.
         """
-        self.references.offer(references, self.stamp_ns)
+        self.follower.queue.offer(references, self.stamp_ns)
+
+    def withdraw(self) -> None:
+        """Forget all plans: the next tick holds the arm where it is."""
+        self.follower.queue.forget()
 
     def hear(self, verdict: Verdict, clock_ns: int) -> None:
         """Take a report of the observer, which is also its heartbeat; the arm does not start before one without doubt.
@@ -273,6 +272,7 @@ class Controller:
         self.model.update(q, v)
         self.supervisor.watch_observer(clock_ns)
         self.supervisor.watch_joints(q, v)
+        self.supervisor.watch_contact(clock_ns)
         self.supervisor.watch_stop(v, clock_ns)
         paused_ns, self._last_clock_ns = clock_ns - (self._last_clock_ns or clock_ns), clock_ns
         if self.mode is Mode.SILENT:
@@ -280,23 +280,22 @@ class Controller:
             return None
         if paused_ns > self._held_ns or not self.in_force:
             # The drive, or somebody else, may have moved the arm meanwhile: what is held is where it is now.
-            self.references.clear(now_ns)
-            self.supervisor.happens(Event.PLAN_ENDED)
             self.resume(self._hold_torque())
             self._restart(q, now_ns)
             self._stop.begin()
         if now_ns < self._last_ns:
             # The clock was set back: the elapsed times must not shrink with it.
             self._started_ns -= self._last_ns - now_ns
-            self._hold_since_ns -= self._last_ns - now_ns
-            self._ramp_since_ns -= self._last_ns - now_ns
+            self.follower.set_back(self._last_ns - now_ns)
         # A late tick must not make up for the change that the ticks before it missed.
         period = min(max((now_ns - self._last_ns) / NANOSECONDS, 0.0), self._period) or self._period
-        if self.mode is Mode.STOPPED:
+        if self.supervisor.is_passive:
             torque = self._stop.torque(self.model, q, v, self._sent, period)
+            self._restart(q, now_ns)
         else:
             self._stop.begin()
             torque = self._track(q, v, now_ns, period)
+            self.supervisor.watch_speed(self.speed_share)
         if math.isnan(torque[0]):
             raise InputError(f"joint_states: no finite torque for velocity = {v.tolist()}; expected a possible state")
         self._last_ns = now_ns
@@ -334,7 +333,6 @@ class Controller:
         self.supervisor.check_reset(q, v, clock_ns)
         if self._watch is not None:
             self._watch.reset(clock_ns)
-        self.references.clear(now_ns)
         was_silent = self.mode is Mode.SILENT
         self.supervisor.happens(Event.RESET)
         self.model.update(q, v)
@@ -357,11 +355,9 @@ class Controller:
             self.update(JointState(now_ns, q, v, None), now_ns)
 
     def _restart(self, q: Array, now_ns: int) -> None:
-        """Hold the current pose, with authority ramping in; a stop stays in force."""
+        """Forget all plans and hold the current pose, with authority ramping in; a stop stays in force."""
         self._started_ns = now_ns
-        self._begin_hold(q, now_ns)
-        self._blend_from = self._followed = self._hold
-        self._had_plan = False
+        self.follower.restart(self.model, q, now_ns)
 
     def _hold_torque(self) -> Array:
         """Torque that holds the arm at rest, (n,), N m: zero where the arm compensates gravity itself."""
@@ -369,9 +365,10 @@ class Controller:
 
     def _track(self, q: Array, v: Array, now_ns: int, period: float) -> Array:
         """The torque (n,) towards the reference in force, N m; NaN if it is not finite."""
-        model = self.model
-        reference = self._reference(q, now_ns)
-        ramp = START_RAMP
+        model, supervisor, follower = self.model, self.supervisor, self.follower
+        reference = follower.follow(model, q, self.error, now_ns, supervisor.torque_known)
+        supervisor.happens(Event.PLAN if follower.follows else Event.PLAN_ENDED)
+        supervisor.watch_hold(follower.held_for(now_ns), follower.had_plan)
         since_start = (now_ns - self._started_ns) / NANOSECONDS
         return tracking_torque(
             self._constants,
@@ -386,106 +383,11 @@ class Controller:
             reference.position,
             reference.rotation,
             reference.posture,
+            *self._body,
             q,
             v,
-            since_start / ramp if since_start < ramp else 1.0,
+            min(since_start / START_RAMP, 1.0),
             self._sent,
             period,
-            self.error,
+            self._found,
         )
-
-    def _reference(self, q: Array, now_ns: int) -> Reference:
-        reference = self.references.select(now_ns) if self.supervisor.torque_known else None
-        too_far = "" if reference is None else self._too_far(reference, q)
-        if too_far:
-            self.references.drop(f"plan dropped: {too_far}; plan from the arm's state, or raise the limit")
-        elif reference is not None:
-            if self.mode is not Mode.TRACKING:
-                self.supervisor.happens(Event.PLAN)
-            self._had_plan = True
-            return self._move_to(reference, now_ns)
-        if self.supervisor.happens(Event.PLAN_ENDED):
-            self._blend_from = self._followed
-            self._begin_hold(q, now_ns)
-        self._target, self._followed = None, self._held(now_ns)
-        return self._followed
-
-    def _move_to(self, target: Reference, now_ns: int) -> Reference:
-        """The reference on the way from what was followed before to the knot in force; a step would jerk the arm."""
-        if target is not self._target:
-            self._ramp_from, self._ramp_since_ns, self._target = self._followed, now_ns, target
-        elapsed_ns = now_ns - self._ramp_since_ns
-        is_there = elapsed_ns >= self._ramp_ns
-        self._followed = target if is_there else blend(self._ramp_from, target, elapsed_ns / self._ramp_ns)
-        return self._followed
-
-    def _too_far(self, reference: Reference, q: Array) -> str:
-        """In what the reference is out of the workspace or too far from the arm; empty when in nothing."""
-        limits, model = self.settings.supervision, self.model
-        if reference is not self._target:
-            beyond = _beyond(reference.position, limits)
-            if beyond:
-                return beyond
-            distance = math.dist(reference.position.tolist(), model.position.tolist())
-            angle = _turn(reference.rotation, model.rotation, self.settings.impedance.task)
-        else:
-            # Of the last tick: it has been computed anyway.
-            x, y, z, *turn = self.error.tolist()
-            distance, angle = math.hypot(x, y, z), math.hypot(*turn)
-        if not distance <= limits.max_position_error:
-            return (
-                f"x_d is {distance:.3f} m from the tip, permitted {limits.max_position_error:g} m (max_position_error)"
-            )
-        if not angle <= limits.max_rotation_error:
-            return f"x_d is turned by {angle:.2f} rad, permitted {limits.max_rotation_error:g} rad (max_rotation_error)"
-        error = np.abs(reference.posture - q)
-        if not float(error.max()) <= limits.max_posture_error:
-            joint = int(error.argmax())
-            name, found, permitted = self.arm.joint_names[joint], error[joint], limits.max_posture_error
-            return f"q_d is {found:.2f} rad from {name}, permitted {permitted:g} rad (max_posture_error)"
-        return ""
-
-    def _begin_hold(self, q: Array, now_ns: int) -> None:
-        self._hold = Reference(self.model.position.copy(), self.model.rotation.copy(), q.copy())
-        self._hold_since_ns = now_ns
-
-    def _held(self, now_ns: int) -> Reference:
-        """The reference without a plan: it decays to the pose to hold; after a further limit the arm stops."""
-        held_for = (now_ns - self._hold_since_ns) / NANOSECONDS
-        self.supervisor.watch_hold(held_for, self._had_plan)
-        if held_for < HOLD_BLEND:
-            return blend(self._blend_from, self._hold, held_for / HOLD_BLEND)
-        return self._hold
-
-
-def blend(start: Reference, end: Reference, share: float) -> Reference:
-    """The reference at `share` (0 to 1) of the way from `start` to `end`, rotations along the shortest arc."""
-    return Reference(
-        position=between(start.position, end.position, share),
-        rotation=turned(start.rotation, end.rotation, share),
-        posture=between(start.posture, end.posture, share),
-    )
-
-
-def _beyond(position: Array, limits: SupervisionSettings) -> str:
-    """In which coordinate a position (3,), m, is out of the workspace; empty when in none."""
-    for axis, found, least, greatest in zip(
-        "xyz", position.tolist(), limits.workspace_minimum, limits.workspace_maximum, strict=True
-    ):
-        if not least <= found <= greatest:
-            return (
-                f"{axis} of x_d is {found:.3f} m, permitted {least:g} to {greatest:g} m (workspace_minimum, "
-                "workspace_maximum)"
-            )
-    return ""
-
-
-def _turn(reference: Array, rotation: Array, task: str) -> float:
-    """Angle between two orientations (3, 3), as far as law (1) controls it, rad."""
-    if task == POSITION:
-        return 0.0
-    if task == AXIS:
-        cosine = float(reference[:, 2] @ rotation[:, 2])
-    else:
-        cosine = 0.5 * (float(np.vdot(reference, rotation)) - 1.0)
-    return math.acos(min(max(cosine, -1.0), 1.0))

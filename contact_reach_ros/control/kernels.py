@@ -48,6 +48,10 @@ class Constant(IntEnum):
     GRAVITY_SHARE = 15
     STOP_RATE = 16
     TASK_ROWS = 17
+    TIP_FORCE = 18
+    BODY_SPEED = 19
+    IMPACT_ENERGY = 20
+    POSTURE_REACH = 21
 
 
 _POSITION_ROWS, _AXIS_ROWS = 3, 5
@@ -64,6 +68,9 @@ _SPEED_SWEEPS = 3
 
 With references that jump about near singularities one of 300 arms became too fast with one, none with two or three.
 """
+
+_FADE = 0.15
+"""Share of the permitted speed within which the push of the laws fades beyond it."""
 
 _YIELD_SWEEPS = 8
 """Times that `yielded` goes through the joints."""
@@ -320,6 +327,81 @@ def solve_bounded(matrix: Array, vector: Array, floor: float) -> Array:
 
 
 @_compiled()
+def push_share(driving: Array, braking: Array, most: float) -> float:
+    """Greatest share s of a force, 0 to 1, with which |s F + D| ≤ `most`, for the first three rows of both, N.
+
+    Where the damping D alone exceeds it, the share that comes nearest.
+    """
+    square, product, rest = 0.0, 0.0, -most * most
+    for row in range(3):
+        square += driving[row] * driving[row]
+        product += driving[row] * braking[row]
+        rest += braking[row] * braking[row]
+    if square == 0.0 or square + 2.0 * product + rest <= 0.0:
+        return 1.0
+    root = np.sqrt(max(product * product - square * rest, 0.0))
+    return min(max((root - product) / square, 0.0), 1.0)
+
+
+@_compiled()
+def speed_share(
+    constants: Array, placements: Array, links: Array, points: Array, q: Array, v: Array, mass_factor: Array
+) -> float:
+    """Greatest speed of the points as a share of the permitted one: by speed, or by the energy ½ ẋ² / (nᵀ J M⁻¹ Jᵀ n).
+
+    n is the direction of a point's motion; the arguments after `constants` are those of `constants.Body`, q (n,) rad, q̇
+    (n,) rad/s, and the Cholesky factor of M.
+    """
+    n = len(q)
+    rotation, turned_by, origin = np.eye(3), np.empty((3, 3)), np.zeros(3)
+    axes, origins, rotations = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3))
+    for i in range(n):
+        cosine, sine = np.cos(q[i]), np.sin(q[i])
+        for row in range(3):
+            step = 0.0
+            for k in range(3):
+                step += rotation[row, k] * placements[3 * i + k, 3]
+                total = 0.0
+                for m in range(3):
+                    total += rotation[row, m] * placements[3 * i + m, k]
+                turned_by[row, k] = total
+            origin[row] += step
+        for row in range(3):
+            rotation[row, 0] = cosine * turned_by[row, 0] + sine * turned_by[row, 1]
+            rotation[row, 1] = cosine * turned_by[row, 1] - sine * turned_by[row, 0]
+            rotation[row, 2] = turned_by[row, 2]
+            axes[i, row], origins[i, row] = turned_by[row, 2], origin[row]
+        rotations[i] = rotation
+    most, rows, lever = 0.0, np.empty((n, 3)), np.empty(3)
+    for index in range(len(links)):
+        link = int(links[index])
+        motion = np.zeros(3)
+        for i in range(link + 1):
+            for row in range(3):
+                lever[row] = origins[link, row] - origins[i, row]
+                for k in range(3):
+                    lever[row] += rotations[link, row, k] * points[index, k]
+            for row in range(3):
+                j, k = (row + 1) % 3, (row + 2) % 3
+                rows[i, row] = axes[i, j] * lever[k] - axes[i, k] * lever[j]
+                motion[row] += rows[i, row] * v[i]
+        speed = np.sqrt(motion[0] ** 2 + motion[1] ** 2 + motion[2] ** 2)
+        if speed < 1e-3:
+            continue
+        direction = np.zeros(n)
+        for i in range(link + 1):
+            for row in range(3):
+                direction[i] += rows[i, row] * motion[row] / speed
+        solution, mobility = solve_lower(mass_factor, direction), 0.0
+        for i in range(n):
+            mobility += solution[i] * solution[i]
+        energy = 0.5 * speed * speed / mobility
+        share = max(speed / constants[Constant.BODY_SPEED, 0], np.sqrt(energy / constants[Constant.IMPACT_ENERGY, 0]))
+        most = max(most, share)
+    return most
+
+
+@_compiled()
 def law_torque(
     constants: Array,
     mass_factor: Array,
@@ -328,10 +410,12 @@ def law_torque(
     drift: Array,
     error: Array,
     joint_torque: Array,
+    most: float,
 ) -> Array:
     """τ of law (3) without the C + g of law (1), (n,), N m.
 
-    (1) + (2) as Jᵀ Λ (ẍ_cmd − J M⁻¹ τ₀) + τ₀, since Nᵀ = I − Jᵀ Λ J M⁻¹.
+    (1) + (2) as Jᵀ Λ (ẍ_cmd − J M⁻¹ τ₀) + τ₀, since Nᵀ = I − Jᵀ Λ J M⁻¹. Of the push −Kp Δx it takes the share that
+    drives the arm with no more than the permitted force beyond its damping.
 
     Parameters
     ----------
@@ -343,6 +427,8 @@ def law_torque(
         Δx, (m,).
     joint_torque
         τ₀, (n,), N m.
+    most
+        Greatest share of the push, 0 to 1.
     """
     m, n = jacobian.shape
     stiffness, damping = constants[Constant.TASK_STIFFNESS, 0], constants[Constant.TASK_DAMPING, 0]
@@ -353,15 +439,21 @@ def law_torque(
         for k in range(n):
             rows[row, k] = solution[k]
     pull = times(rows, solve_lower(mass_factor, joint_torque))
-    mobility, acceleration = np.empty((m, m)), np.empty(m)
+    mobility, push, brake, rest = np.empty((m, m)), np.empty(m), np.empty(m), np.empty(m)
     for row in range(m):
         for column in range(row + 1):
             product = 0.0
             for k in range(n):
                 product += rows[row, k] * rows[column, k]
             mobility[row, column] = mobility[column, row] = product
-        acceleration[row] = -stiffness * error[row] - damping * twist[row] - drift[row] - pull[row]
-    wrench = solve_bounded(mobility, acceleration, constants[Constant.SINGULARITY_FLOOR, 0])
+        push[row], brake[row] = -stiffness * error[row], -damping * twist[row]
+        rest[row] = -drift[row] - pull[row]
+    floor = constants[Constant.SINGULARITY_FLOOR, 0]
+    driving, braking = solve_bounded(mobility, push, floor), solve_bounded(mobility, brake, floor)
+    wrench = solve_bounded(mobility, rest, floor)
+    share = min(push_share(driving, braking, constants[Constant.TIP_FORCE, 0]), most)
+    for row in range(m):
+        wrench[row] += share * driving[row] + braking[row]
     torque = times(jacobian.T, wrench)
     for i in range(n):
         torque[i] += joint_torque[i]
@@ -612,6 +704,7 @@ def stopping_torque(
     *(_RESULT, _MATRIX),
     *(_MATRIX, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _MATRIX, _VECTOR, _VECTOR),
     *(_VECTOR, _MATRIX, _VECTOR),
+    *(_MATRIX, _VECTOR, _MATRIX),
     *(_VECTOR, _VECTOR, float64, _VECTOR, float64, _RESULT),
 )
 def tracking_torque(
@@ -627,12 +720,15 @@ def tracking_torque(
     reference_position: Array,
     reference_rotation: Array,
     reference_posture: Array,
+    placements: Array,
+    links: Array,
+    points: Array,
     q: Array,
     v: Array,
     authority: float,
     previous: Array,
     period: float,
-    error: Array,
+    found: Array,
 ) -> Array:
     """Law (3) with all limits, (n,), N m; all NaN where no finite torque follows from the state.
 
@@ -644,20 +740,22 @@ def tracking_torque(
         Attributes of `RobotModel`.
     reference_position, reference_rotation, reference_posture
         Attributes of `Reference`.
+    placements, links, points
+        Attributes of `Body`.
     q, v
         (n,), rad and rad/s.
     authority
         Share of all torques except the one that holds the arm against gravity.
     previous, period
         The last torque sent (n,), N m, and the time since then, s.
-    error
-        (6,), overwritten with Δx as `pose_error` gives it.
+    found
+        (7,), overwritten with Δx as `pose_error` gives it, and `speed_share`.
     """
     n, task_rows = len(v), int(constants[Constant.TASK_ROWS, 0])
     deviation = pose_error(position, rotation, reference_position, reference_rotation, task_rows)
     vectors = np.empty((6, n + 3))
     for i in range(6):
-        error[i] = deviation[i]
+        found[i] = deviation[i]
         for k in range(n):
             vectors[i, k] = jacobian[i, k]
         vectors[i, n], vectors[i, n + 1], vectors[i, n + 2] = twist[i], drift[i], deviation[i]
@@ -665,14 +763,17 @@ def tracking_torque(
     factor, regular = factorise(mass_matrix, 0.0)
     if not regular:
         return np.full(n, np.nan)
+    found[6] = speed_share(constants, placements, links, points, q, v, factor)
+    push = min(max((1.0 + _FADE - found[6]) / _FADE, 0.0), 1.0)
     posture_error = np.empty(n)
     for i in range(n):
-        posture_error[i] = q[i] - reference_posture[i]
+        reach = constants[Constant.POSTURE_REACH, i]
+        posture_error[i] = push * min(max(q[i] - reference_posture[i], -reach), reach)
     joint_torque = posture_torque(constants, posture_error, v)
     brake = null_brake(constants, v, mass_matrix)
     for i in range(n):
         joint_torque[i] += brake[i]
-    torque = law_torque(constants, factor, rows[:, :n], rows[:, n], rows[:, n + 1], rows[:, n + 2], joint_torque)
+    torque = law_torque(constants, factor, rows[:, :n], rows[:, n], rows[:, n + 1], rows[:, n + 2], joint_torque, push)
     repulsion = repulsion_torque(constants, q, v)
     for i in range(n):
         torque[i] += repulsion[i]

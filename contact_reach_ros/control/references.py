@@ -114,7 +114,8 @@ def _check_times(kind: str, ends_ns: tuple[int, ...], count: int) -> None:
 class ReferenceQueue:
     """Pairs the two halves of each plan by their stamp and hands out the plan in force.
 
-    A plan takes effect at its stamp, replaces every earlier one, and is valid until its last knot ends.
+    A plan takes effect at its stamp, replaces every earlier one, and is valid until its last knot ends. A half without
+    a knot withdraws all plans.
     """
 
     _PENDING = 8
@@ -139,6 +140,8 @@ class ReferenceQueue:
     def offer_poses(self, knots: PoseKnots, now_ns: int) -> None:
         """Take the x_d half of a plan; raises `InputError` naming the field if it is refused."""
         count = len(knots.positions)
+        if count == 0 and not knots.ends_ns:
+            return self.forget()
         _check_times("reference/pose", knots.ends_ns, count)
         if knots.positions.shape[1:] != (3,) or knots.rotations.shape != (count, 3, 3):
             raise InputError("reference/pose: transforms must be one position and one rotation in each point")
@@ -152,6 +155,8 @@ class ReferenceQueue:
 
     def offer_postures(self, knots: PostureKnots, now_ns: int) -> None:
         """Take the q_d half of a plan; raises `InputError` naming the field if it is refused."""
+        if len(knots.postures) == 0 and not knots.ends_ns:
+            return self.forget()
         _check_times("reference/posture", knots.ends_ns, len(knots.postures))
         if knots.postures.shape[1:] != (self._n,) or not np.isfinite(knots.postures).all():
             raise InputError(f"reference/posture: positions must be {self._n} finite angles in each point")
@@ -179,15 +184,18 @@ class ReferenceQueue:
     def drop(self, reason: str) -> None:
         """Forget the plan in force and those that wait, for a reason."""
         self.dropped.append(reason)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget all plans."""
+        self._poses.clear()
+        self._postures.clear()
         self._waiting.clear()
         self.active = None
 
     def clear(self, now_ns: int) -> None:
         """Forget all plans, and refuse those stamped before `now_ns`."""
-        self._poses.clear()
-        self._postures.clear()
-        self._waiting.clear()
-        self.active = None
+        self.forget()
         self._not_before_ns = now_ns
 
     def _check_stamp(self, kind: str, stamp_ns: int, ends_ns: tuple[int, ...], now_ns: int) -> None:

@@ -63,6 +63,21 @@ class LimitSettings(Settings):
         minimum=1.0,
         maximum=20000.0,
     )
+    tip_force: float = setting(
+        60.0,
+        "force at the tip up to which law (1) drives the arm beyond its damping: what a blocked arm presses with",
+        unit="N",
+        minimum=1.0,
+        maximum=1000.0,
+    )
+    body_speed: float = setting(
+        0.25,
+        "speed of any point of the arm beyond which it is not driven, and at 1.3 times of which it is stopped; less "
+        "where the moving mass would hit with more than 0.13 J",
+        unit="m/s",
+        minimum=0.01,
+        maximum=5.0,
+    )
 
 
 @dataclass(frozen=True)

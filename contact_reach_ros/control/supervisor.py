@@ -25,6 +25,8 @@ class Mode(Enum):
     """No valid plan: the arm is held where it is."""
     TRACKING = "tracking"
     """A plan is in force."""
+    YIELDING = "yielding"
+    """Gives way to a contact that nothing explains, with the law of the stop, but not latched."""
     STOPPED = "stopped"
     """Latched compliant stop, see `PassiveStop`."""
     SILENT = "silent"
@@ -37,6 +39,8 @@ class Event(Enum):
     START = "first valid state"
     PLAN = "plan takes effect"
     PLAN_ENDED = "plan runs out"
+    CONTACT = "contact without a plan, or too strong"
+    FREED = "contact has ended"
     STOP = "stop"
     NO_REST = "stop brings no rest"
     RESTED = "stop has brought rest"
@@ -54,6 +58,11 @@ TRANSITIONS = {
     (Mode.TRACKING, Event.PLAN_ENDED): Mode.HOLDING,
     (Mode.TRACKING, Event.STOP): Mode.STOPPED,
     (Mode.TRACKING, Event.RESET): Mode.HOLDING,
+    (Mode.HOLDING, Event.CONTACT): Mode.YIELDING,
+    (Mode.TRACKING, Event.CONTACT): Mode.YIELDING,
+    (Mode.YIELDING, Event.FREED): Mode.HOLDING,
+    (Mode.YIELDING, Event.START): Mode.HOLDING,
+    (Mode.YIELDING, Event.STOP): Mode.STOPPED,
     (Mode.STOPPED, Event.NO_REST): Mode.SILENT,
     (Mode.STOPPED, Event.RESTED): Mode.SILENT,
     (Mode.STOPPED, Event.RESET): Mode.HOLDING,
@@ -63,12 +72,16 @@ TRANSITIONS = {
 
 OBSERVER_TIMEOUT = 0.25
 """Silence of the observer that stops the arm, s: the controller's own watch sees the states meanwhile."""
+SPEED_TOLERANCE = 1.3
+"""Speed of a point of the arm that stops it, as a share of the permitted one."""
 SPEED_DEBOUNCE = 3
 """Time above a permitted speed that counts, ms: a single wrong state stops nothing."""
 REST_TIME = 0.3
 """Time at rest after which a stop ends in the drive's brakes, s: a rebound is over by then."""
 STOP_TIME = 1.0
 """Time after the stop at which it ends in any case, s."""
+YIELD_TIME = 0.5
+"""Time for which the arm gives way to a contact, s: if it has not ended then, the arm is stopped."""
 OBSERVER, OWN_WATCH = "observer", "controller's own watch"
 """Who watches the arm: the observer's node, and the same computation in the controller's process, without a message in
 between. Either one's stop counts."""
@@ -100,9 +113,11 @@ class Supervisor:
             zip(arm.joint_names, arm.lower.tolist(), arm.upper.tolist(), arm.velocity_limits.tolist(), strict=True)
         )
         self._reason = self._sequel = ""
-        self._speeding = 0
+        self._speeding = self._hurrying = 0
         self._stop_ns: list[int] = []
         """When the stop began, and since when the arm has been at rest in it, if it is."""
+        self._yield_ns: int | None = None
+        """When the arm began to give way."""
         self._verdicts: dict[str, Verdict] = {}
         """The last ones, by who gave them."""
         self._heard_ns: int | None = None
@@ -114,7 +129,7 @@ class Supervisor:
         self.mode = TRANSITIONS.get((before, event), before)
         if event is Event.RESET:
             self._reason = self._sequel = ""
-            self._speeding = 0
+            self._speeding = self._hurrying = 0
             self.longest_silence = 0.0
         return self.mode is not before
 
@@ -127,6 +142,11 @@ class Supervisor:
     def stopped(self) -> bool:
         """Whether a stop is latched, compliant or not."""
         return self.mode in (Mode.STOPPED, Mode.SILENT)
+
+    @property
+    def is_passive(self) -> bool:
+        """Whether the law of the stop is in force."""
+        return self.mode in (Mode.STOPPED, Mode.YIELDING)
 
     @property
     def stop_reason(self) -> str:
@@ -163,6 +183,27 @@ class Supervisor:
         elif is_late and (has_brakes or self._settings.adapter):
             joint = self._arm.joint_names[int(np.abs(v).argmax())]
             self._give_up(f"{joint} still moves with {speed:.2f} rad/s {STOP_TIME:g} s after the stop")
+
+    def watch_contact(self, clock_ns: int) -> None:
+        """Give way to a contact that no plan explains, or one that is too strong; stop if it does not end."""
+        verdict = self._verdicts.get(OBSERVER, Verdict())
+        if self.mode is not Mode.YIELDING:
+            touched = verdict.excess or (self.mode is Mode.HOLDING and verdict.contact)
+            if touched and self.happens(Event.CONTACT):
+                self._yield_ns = clock_ns
+        elif clock_ns - (self._yield_ns or clock_ns) >= YIELD_TIME * NANOSECONDS:
+            if verdict.contact:
+                text = f"contact of {verdict.contact} has not ended although the arm gave way for {YIELD_TIME:g} s"
+                self.stop(StopReason(StopCode.CONTACT, text))
+            else:
+                self.happens(Event.FREED)
+
+    def watch_speed(self, share: float) -> None:
+        """Stop when a point of the arm has been too fast for some states: `share` of what is permitted there."""
+        self._hurrying = self._hurrying + 1 if share > SPEED_TOLERANCE else 0
+        if self._hurrying >= self._debounce:
+            text = f"a point of the arm moves with {share:.2f} times the permitted speed (limits.body_speed)"
+            self.stop(StopReason(StopCode.SPEED_LIMIT, text))
 
     def _give_up(self, why: str) -> None:
         if self.happens(Event.NO_REST):

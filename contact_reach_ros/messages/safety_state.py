@@ -9,7 +9,7 @@ import numpy as np
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict, code_of
 from contact_reach_ros.observer.location import Contact
-from contact_reach_ros.observer.observer import SafetyReport
+from contact_reach_ros.observer.observer import SafetyReport, describe_contact
 
 MONITORING = "monitoring"
 """Message while nothing stops the arm and nothing touches it."""
@@ -35,6 +35,7 @@ _KNOWN, _UNKNOWN = "known", "unknown"
 
 
 _LINK, _FORCE, _POSITION = "contact link", "contact force xyz N", "contact position xyz m"
+_SUDDEN, _EXCESS = "sudden torque Nm", "contact above permitted force"
 
 
 def findings(report: SafetyReport) -> dict[str, str]:
@@ -54,6 +55,9 @@ def findings(report: SafetyReport) -> dict[str, str]:
         values["contact force N"] = f"{contact.strength:.1f}"
         values[_FORCE] = " ".join(f"{value:.1f}" for value in contact.force.tolist())
         values[_POSITION] = " ".join(f"{value:.3f}" for value in contact.position.tolist())
+        values[_SUDDEN] = " ".join(f"{value:.2f}" for value in contact.torque.tolist())
+    if report.excess:
+        values[_EXCESS] = "true"
     return values
 
 
@@ -68,12 +72,16 @@ def is_stopped(message: Any) -> bool:
     return read_level(message) >= ERROR
 
 
-def read_verdict(message: Any) -> Verdict:
-    """The verdict in the observer's safety state."""
+def read_verdict(message: Any, arm: Arm) -> Verdict:
+    """The verdict in the observer's safety state.
+
+    Raises `InputError` as `read_contact`.
+    """
     values = {item.key: item.value for item in message.values}
     reason = read_reason(message)
     known = values.get(TORQUE) != _UNKNOWN
-    return Verdict(reason, values.get(DISTRUST, ""), values.get(DOUBT, ""), known)
+    contact = describe_contact(read_contact(message, arm))
+    return Verdict(reason, values.get(DISTRUST, ""), values.get(DOUBT, ""), known, contact, _EXCESS in values)
 
 
 def read_in_force(message: Any, before: bool) -> bool:
@@ -104,11 +112,15 @@ def read_contact(message: Any, arm: Arm) -> Contact | None:
         return None
     try:
         position, force = (np.array(values[key].split(), float).reshape(3) for key in (_POSITION, _FORCE))
+        # Bags of version 0.2.0 lack it.
+        torque = np.array(values.get(_SUDDEN, arm.n * "nan ").split(), float).reshape(arm.n)
     except (KeyError, ValueError) as error:
-        raise InputError(f"safety_state: {_POSITION} and {_FORCE} must be three numbers each ({error})") from error
+        raise InputError(
+            f"safety_state: {_POSITION} and {_FORCE} must be three numbers each, {_SUDDEN} {arm.n} ({error})"
+        ) from error
     if values[_LINK] not in arm.contact_links or not np.isfinite([position, force]).all():
         raise InputError(
             f"safety_state: {_LINK} = {values[_LINK]} at {position} with {force}: expected finite numbers and one of "
             f"{', '.join(arm.contact_links)}"
         )
-    return Contact(values[_LINK], position, force, float("nan"))
+    return Contact(values[_LINK], position, force, float("nan"), torque)

@@ -117,9 +117,9 @@ class ControllerNode(StoppableNode):
         waiting = "" if controller.started else controller.not_yet or controller.not_vouched
         values = {
             "mode": controller.mode.value,
-            "plans accepted": controller.references.accepted,
-            "plan halves unpaired": controller.references.unpaired,
-            "plan age s": controller.references.age(controller.stamp_ns),
+            "plans accepted": controller.follower.queue.accepted,
+            "plan halves unpaired": controller.follower.queue.unpaired,
+            "plan age s": controller.follower.queue.age(controller.stamp_ns),
             "position error m": float(np.linalg.norm(controller.error[:3])),
             "observer silence max ms": 1000.0 * controller.supervisor.longest_silence,
             "joint states repeated": controller.order.repeated,
@@ -154,8 +154,8 @@ class ControllerNode(StoppableNode):
         if controller.state is not state:
             controller.watch(state, clock_ns)
             return
-        while controller.references.dropped:
-            self.refuse("plans", InputError(controller.references.dropped.pop()))
+        while controller.follower.queue.dropped:
+            self.refuse("plans", InputError(controller.follower.queue.dropped.pop()))
         if torque is not None:
             self._write_commands(self._writer.write(torque))
             self._intake.outputs += 1
@@ -183,16 +183,16 @@ class ControllerNode(StoppableNode):
 
     def _on_poses(self, message: MultiDOFJointTrajectory) -> None:
         self._check_agreement()
-        self._controller.references.offer_poses(pose_knots(message), self._controller.stamp_ns)
+        self._controller.follower.queue.offer_poses(pose_knots(message), self._controller.stamp_ns)
 
     def _on_postures(self, message: JointTrajectory) -> None:
         self._check_agreement()
         knots = posture_knots(message, self.arm.joint_names)
-        self._controller.references.offer_postures(knots, self._controller.stamp_ns)
+        self._controller.follower.queue.offer_postures(knots, self._controller.stamp_ns)
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
         if message.name == OBSERVER:
-            self._controller.hear(read_verdict(message), self.arrived_ns)
+            self._controller.hear(read_verdict(message, self.arm), self.arrived_ns)
         elif self.settings["supervision"].adapter:
             self._controller.in_force = read_in_force(message, self._controller.in_force)
 

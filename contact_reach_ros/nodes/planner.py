@@ -22,7 +22,7 @@ from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError, SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
-from contact_reach_ros.messages.safety_state import is_stopped, read_contact
+from contact_reach_ros.messages.safety_state import is_stopped, read_contact, read_verdict
 from contact_reach_ros.messages.serialized import JointStateReader, decode
 from contact_reach_ros.messages.values import goal_values, nanoseconds, quaternion, vector
 from contact_reach_ros.nodes.planner_output import PlannerOutput
@@ -74,6 +74,7 @@ class PlannerNode(ManagedNode):
             self.settings["unexpected_contact"],
             self.refuse,
             self.settings[_GAINS].task,
+            self.settings[BUDGET],
         )
         self._output = PlannerOutput(self)
         self._obstacle_reader = ObstacleMarkerReader(self.arm.base_frame, settings)
@@ -134,8 +135,8 @@ class PlannerNode(ManagedNode):
         problem = obstacles.problem(now_ns)
         if problem:
             return problem if obstacles.are_seen else topics.WAITING_FOR_OBSTACLES, values
-        if planner.reaction.reason or planner.goal is not None:
-            return planner.reaction.reason or "planning", values
+        if planner.goal is not None:
+            return "planning", values
         return "waiting for a goal" if heard_by else topics.WAITING_FOR_CONTROLLER, values
 
     def turn(self) -> None:
@@ -143,7 +144,7 @@ class PlannerNode(ManagedNode):
         self.inbox.wait(_POLL_NS)
 
     def _on_state(self, data: bytes) -> None:
-        request = self._planner.request(self._reader.read(data), self.arrived_ns)
+        request = self._planner.request(self._reader.read(data))
         if request is not None:
             try:
                 self._make_plan(request)
@@ -221,11 +222,10 @@ class PlannerNode(ManagedNode):
     def _on_safety(self, message: DiagnosticStatus) -> None:
         if is_stopped(message):
             self._give_up(f"{message.name} stopped the arm ({message.message})")
-        elif message.name == OBSERVER and self._planner.goal is not None:
-            reaction = self._planner.reaction
-            known = reaction.reason
-            if self._planner.touched(read_contact(message, self.arm)) and not known:
-                self.get_logger().warning(reaction.reason)
+        elif message.name == OBSERVER:
+            why = self._planner.objection(read_contact(message, self.arm), read_verdict(message, self.arm).excess)
+            if why:
+                self._give_up(why)
 
     def on_rivals(self) -> None:
         """Withdraw the goal."""
@@ -240,7 +240,7 @@ class PlannerNode(ManagedNode):
     def _withdraw(self, why: str) -> None:
         """Forget the goal: after a stop the arm moves again only with a new one."""
         if self._planner.plan is not None:
-            self._output.clear()
+            self._output.withdraw()
         self._planner.withdraw(why)
         self._output.follow_goal(self._planner, self._goal_ns)
 

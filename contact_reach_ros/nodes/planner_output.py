@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.messages.plan_messages import to_markers, to_path, to_references, to_request, to_statistics
@@ -48,8 +50,10 @@ class PlannerOutput:
             self._marker_publisher.publish(to_markers(plan, self._arm))
             self._markers_due_ns = plan.effect_ns + _MARKERS_EVERY_NS
 
-    def clear(self) -> None:
-        """Remove the markers."""
+    def withdraw(self) -> None:
+        """Publish references without a knot, so that the controller holds the arm at once, and remove the markers."""
+        self._poses.publish(MultiDOFJointTrajectory())
+        self._postures.publish(JointTrajectory(joint_names=self._arm.joint_names))
         self._marker_publisher.publish(to_markers(None, self._arm))
 
     def record(

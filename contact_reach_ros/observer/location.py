@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from scipy.optimize import nnls
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
@@ -19,6 +21,8 @@ _FORCE_ALONG = 5.0
 """The same along the link, where contact acts only by friction."""
 _ACROSS = np.eye(3) / _FORCE**2
 _ALONG = 1.0 / _FORCE_ALONG**2 - 1.0 / _FORCE**2
+_FRICTION = 0.5
+"""Greatest friction of a known body, as a share of its normal force."""
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
 """Coordinates in a cross product; NumPy's own function takes ten times as long."""
 
@@ -37,21 +41,41 @@ class Contact:
         Force on the arm, (3,), N, base axes: the smallest that explains the torques, so an underestimate if anything.
     misfit
         Unexplained rest: root of the sum of squares, in units of the contact thresholds.
+    torque
+        Sudden external torque (n,), N m, that the force is fitted to.
     """
 
     link: str
     position: Array
     force: Array
     misfit: float
+    torque: Array
 
     def rounded(self) -> Contact:
-        """The same contact to 1 mm and 0.1 N, as messages carry it."""
-        return dataclasses.replace(self, position=np.round(self.position, 3), force=np.round(self.force, 1))
+        """The same contact to 1 mm, 0.1 N and 0.01 N m, as messages carry it."""
+        position, force, torque = np.round(self.position, 3), np.round(self.force, 1), np.round(self.torque, 2)
+        return dataclasses.replace(self, position=position, force=force, torque=torque)
 
     @property
     def strength(self) -> float:
         """Magnitude of the force, N."""
         return float(np.linalg.norm(self.force))
+
+
+class Places(NamedTuple):
+    """Where known bodies may touch the arm.
+
+    Attributes
+    ----------
+    links
+        (P,) indices of the links, 0 for that of the first joint.
+    points, normals
+        (P, 3) on the axes of their capsules, m, and (P, 3) out of the bodies; base frame.
+    """
+
+    links: Array
+    points: Array
+    normals: Array
 
 
 class ContactLocator:
@@ -75,23 +99,14 @@ class ContactLocator:
         self._points = np.concatenate([start + shares * (end - start) for _, start, end in capsules])[:, :, None]
         axes = [(end - start) / np.linalg.norm(end - start) for _, start, end in capsules]
         self._axes = np.repeat(axes, _POINTS, axis=0)[:, :, None]
-        felt = np.arange(arm.n) <= self._links[:, None]
-        self._felt = (felt * self._weights)[:, :, None]
 
     def locate(self, q: Array, torque: Array) -> Contact:
         """The contact that best explains the external torque (n,) N m at joint positions (n,) rad."""
-        pin.forwardKinematics(self._model, self._data, q)
-        frames = [self._data.oMi[joint] for joint in self._joints]
-        rotations = np.array([frame.rotation for frame in frames])
-        origins = np.array([frame.translation for frame in frames])
+        rotations, origins = self._frames(q)
         turns = rotations[self._links]
         points = origins[self._links] + (turns @ self._points)[:, :, 0]
         axes = turns @ self._axes
-        # Rows of J_pᵀ: joint axis × lever, zero for the joints beyond the link.
-        levers = points[:, None, :] - origins
-        turning = rotations[:, :, 2]
-        rows = turning[:, _NEXT] * levers[:, :, _AFTER] - turning[:, _AFTER] * levers[:, :, _NEXT]
-        rows *= self._felt
+        rows = self._rows(rotations, origins, points, self._links)
         target = self._weights * torque
         prior = _ACROSS + _ALONG * (axes @ axes.transpose(0, 2, 1))
         normal = rows.transpose(0, 2, 1) @ rows + prior
@@ -100,4 +115,35 @@ class ContactLocator:
         # At the minimum |target - rows f|² + fᵀ prior f is |target|² - fᵀ right.
         best = int(np.argmax((forces * right).sum(axis=1)))
         misfit = float(np.linalg.norm(target - rows[best] @ forces[best]))
-        return Contact(self._link_names[self._links[best]], points[best], forces[best], misfit)
+        return Contact(self._link_names[self._links[best]], points[best], forces[best], misfit, torque)
+
+    def unexplained(self, q: Array, torque: Array, places: Places, most: float) -> Array:
+        """The part of an external torque (n,), N m, that contact with known bodies does not explain.
+
+        At each place a force may act out of the body, within a friction cone, and all of them together with `most` N.
+        """
+        if len(places.links) == 0:
+            return torque
+        normals = places.normals
+        sides = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+        across = np.cross(normals, sides)
+        edges = np.stack([normals + _FRICTION * side for side in (sides, -sides, across, -across)], axis=2)
+        rows = self._rows(*self._frames(q), places.points, places.links)
+        columns = (rows @ edges).transpose(1, 0, 2).reshape(len(q), -1)
+        forces, _ = nnls(columns, self._weights * torque)
+        share = min(1.0, most / max(float(forces.sum()), 1e-9))
+        return torque - share * (columns @ forces) / self._weights
+
+    def _frames(self, q: Array) -> tuple[Array, Array]:
+        """Rotations (n, 3, 3) and origins (n, 3), m, of the joints' frames."""
+        pin.forwardKinematics(self._model, self._data, q)
+        frames = [self._data.oMi[joint] for joint in self._joints]
+        return np.array([frame.rotation for frame in frames]), np.array([frame.translation for frame in frames])
+
+    def _rows(self, rotations: Array, origins: Array, points: Array, links: Array) -> Array:
+        """Weighted J_pᵀ (P, n, 3) of points (P, 3), m: joint axis × lever, zero for the joints beyond the link."""
+        levers = points[:, None, :] - origins
+        turning = rotations[:, :, 2]
+        rows = turning[:, _NEXT] * levers[:, :, _AFTER] - turning[:, _AFTER] * levers[:, :, _NEXT]
+        return rows * ((np.arange(len(origins)) <= links[:, None]) * self._weights)[:, :, None]

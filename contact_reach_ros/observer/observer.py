@@ -21,6 +21,10 @@ from contact_reach_ros.timing import NANOSECONDS, StampOrder
 
 HEARTBEAT = 0.01
 """Longest time between reports that must be passed on, s."""
+LEAST_FORCE = 5.0
+"""Least force of a contact that counts, N: above the errors of the estimate where contacts are located."""
+EXCESS_FORCE, EXCESS_TIME = 3.0, 0.2
+"""Force beyond the permitted one, N, and time for which a contact may have more, s: an impact is over by then."""
 
 
 class SafetyReport(NamedTuple):
@@ -47,6 +51,8 @@ class SafetyReport(NamedTuple):
         Time for which the acting torque has been known, s; 0 while it is not.
     contact
         Where the arm is touched, rounded to 1 mm and 0.1 N; None without a located contact.
+    excess
+        Whether that contact has exceeded the permitted force by `EXCESS_FORCE` for `EXCESS_TIME`.
     has_news
         Whether level, reason, distrust or doubt have changed.
     is_heartbeat
@@ -62,18 +68,28 @@ class SafetyReport(NamedTuple):
     age: float
     known_for: float
     contact: Contact | None
+    excess: bool
     has_news: bool
     is_heartbeat: bool
 
     @property
     def verdict(self) -> Verdict:
         """What the controller has to know."""
-        return Verdict(self.reason, self.distrust, self.doubt, self.known_for > 0.0)
+        return Verdict(
+            self.reason, self.distrust, self.doubt, self.known_for > 0.0, describe_contact(self.contact), self.excess
+        )
 
     @property
     def due(self) -> bool:
         """Whether the report must be passed on; others need not be."""
         return self.has_news or self.is_heartbeat
+
+
+def describe_contact(contact: Contact | None) -> str:
+    """Force and link of a contact that counts; empty without one."""
+    if contact is None or contact.strength < LEAST_FORCE:
+        return ""
+    return f"{contact.strength:.0f} N at {contact.link}"
 
 
 class Observer:
@@ -128,6 +144,10 @@ class Observer:
         self._torque_check = TorqueCheck(arm, period)
         self._locator = ContactLocator(model, budget.contact_thresholds)
         self._locates = locates
+        self._excess = 0
+        """States in a row with more than the permitted force."""
+        self._excess_limit = EXCESS_TIME / period
+        self._permitted = budget.permitted_force + EXCESS_FORCE
         self._heartbeat_every = max(1, round(HEARTBEAT / period))
         self._reported: tuple[SafetyLevel, str, str, str] | None = None
 
@@ -164,6 +184,8 @@ class Observer:
         is_heartbeat = self.updates % self._heartbeat_every == 0
         if is_heartbeat:
             self.contact = self.locate(q) if self._locates and monitor.in_contact else None
+            is_strong = self.contact is not None and self.contact.strength > self._permitted
+            self._excess = self._excess + self._heartbeat_every if is_strong else 0
         return self._conclude(stamp_ns, is_heartbeat)
 
     def report(self, stamp_ns: int = 0, is_heartbeat: bool = False) -> SafetyReport:
@@ -182,6 +204,7 @@ class Observer:
             age,
             momentum.known_for,
             self.contact,
+            self._excess >= self._excess_limit,
             state != self._reported,
             is_heartbeat,
         )

@@ -9,17 +9,19 @@ from collections.abc import Callable
 
 import numpy as np
 
-from contact_reach_ros.arm import Arm, Array, JointState
+from contact_reach_ros.arm import Arm, JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.settings import AXIS, POSE, POSITION
 from contact_reach_ros.errors import InputError, PlanningError
+from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.location import Contact
-from contact_reach_ros.observer.observer import SafetyReport
+from contact_reach_ros.observer.observer import describe_contact
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress, GoalState
 from contact_reach_ros.planning.plan import Plan, PlanningCore, Request
-from contact_reach_ros.planning.settings import RETREAT, ReplanningSettings, UnexpectedContactSettings
+from contact_reach_ros.planning.settings import GIVE_WAY, ReplanningSettings, UnexpectedContactSettings
+from contact_reach_ros.planning.unexpected_contact import Explanation
 from contact_reach_ros.timing import NANOSECONDS
-from contact_reach_ros.world.collision import check_goal, clearances
+from contact_reach_ros.world.collision import check_goal
 from contact_reach_ros.world.goal import Target, Task
 from contact_reach_ros.world.spheres import Spheres
 
@@ -81,77 +83,8 @@ class KnownObstacles:
         )
 
 
-LEAST_FORCE = 5.0
-"""Least force of a contact that counts, N: above the observer's errors where contacts are located."""
 PATIENCE_NS = NANOSECONDS // 100
-"""Least duration of a contact that counts, ns: ten states, so that no single one leads to a retreat."""
-RETREAT_DISTANCE = 0.05
-"""Distance of the retreat, m: enough to free a hand."""
-
-_KNOWN_WITHIN = 0.01
-"""A contact is attributed to a known obstacle if one is nearer to the arm than this, m."""
-_STEP = 0.005
-"""Distance between remembered positions of the flange, m."""
-
-
-class ContactReaction:
-    """Turns contacts that the observer reports into a position where the arm came from.
-
-    Attributes
-    ----------
-    reason
-        Reason for the retreat in force; empty without one.
-    position
-        (3,) where the flange goes back to, m; None without a retreat.
-    """
-
-    def __init__(self, arm: Arm, settings: UnexpectedContactSettings) -> None:
-        self._arm = arm
-        self._retreats = settings.reaction == RETREAT
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything, because the goal has changed or was withdrawn."""
-        self.reason = ""
-        self._since_ns: int | None = None
-        self._path: list[Array] = []
-        self.position: Array | None = None
-
-    def moved(self, flange: Array) -> None:
-        """Remember a position (3,) of the flange, m."""
-        if not self._path or math.dist(flange, self._path[-1]) > _STEP:
-            self._path.append(flange.copy())
-
-    def report(self, contact: Contact | None, q: Array, spheres: Spheres, stamp_ns: int) -> bool:
-        """Take a contact at joint angles `q` (n,), rad, or None for no contact; returns whether plans change.
-
-        `spheres`: the obstacles that the planner knows.
-        """
-        if not self._retreats or self.position is not None:
-            return False
-        known = len(spheres) > 0 and bool(clearances(self._arm, q, spheres).min() < _KNOWN_WITHIN)
-        if contact is None or known or contact.strength < LEAST_FORCE:
-            self._since_ns = None
-            return False
-        if self._since_ns is None:
-            self._since_ns = stamp_ns
-        if stamp_ns - self._since_ns < PATIENCE_NS or not self._path:
-            return False
-        self.reason = f"{RETREAT}: unexpected contact at {contact.link}, {contact.strength:.0f} N"
-        self.position = self._way_back()
-        return True
-
-    def _way_back(self) -> Array:
-        """The last position of the flange as far away as the retreat, or the first one."""
-        here = self._path[-1]
-        for position in reversed(self._path):
-            if math.dist(position, here) >= RETREAT_DISTANCE:
-                return position
-        return self._path[0]
-
-
-_ABANDONED_NS = 2_000_000_000
-"""Pause of the joint states, as of an emergency stop, after which the arm goes on only when somebody asks for it."""
+"""Least duration of a contact that counts, ns: ten states, so that no single one ends a motion."""
 
 _RECENT = 8
 """Plans whose times the latency of the next one is estimated from: on a busy machine they vary."""
@@ -172,8 +105,6 @@ class Planner:
         The last plan; None before the first and after the goal was withdrawn.
     state
         The last joint state; None before the first.
-    reaction
-        Reaction to contact that no known obstacle explains.
     settings
         When to plan.
     obstacles
@@ -192,6 +123,7 @@ class Planner:
         unexpected_contact: UnexpectedContactSettings,
         refuse: Callable[[str, InputError], None] | None = None,
         task: str = POSE,
+        budget: ContactBudget | None = None,
     ) -> None:
         """Plan with `core`.
 
@@ -205,20 +137,24 @@ class Planner:
             When to plan, and how to react to contact that no known obstacle explains.
         refuse
             Called for a goal that waited for a joint state and proved unreachable, and for plans that are due while it
-            is not known where the obstacles are, whose errors are raised by default; also for a goal that is withdrawn
-            because the joint states paused.
+            is not known where the obstacles are, whose errors are raised by default.
         task
             What law (1) controls, see `ImpedanceSettings`; only so much of the orientation of goals counts.
+        budget
+            Of the observer; None for the default.
         """
         self.core = core
         self._task = task
-        self.reaction = ContactReaction(arm, unexpected_contact)
+        self._explanation = (
+            Explanation(arm, budget or ContactBudget()) if unexpected_contact.reaction == GIVE_WAY else None
+        )
+        self._unexpected_ns: int | None = None
+        """Since when there has been a contact that nothing explains."""
         self.goal: Target | None = None
         self.plan: Plan | None = None
         self.state: JointState | None = None
         self.due_ns = 0
         self.speed_scale = settings.speed_scale
-        self._clock_ns: int | None = None
         self._arm = arm
         self._model = RobotModel(arm)
         self.settings = settings
@@ -261,7 +197,6 @@ class Planner:
             self._progress.end(phase, reason)
         self.goal = self._pending = None
         self.plan = None
-        self.reaction.reset()
         if self.core is not None:
             self.core.reset()
 
@@ -270,28 +205,30 @@ class Planner:
         now_ns = math.inf if self.state is None else self.state.stamp_ns
         self.obstacles.see(obstacles, now_ns if stamp_ns is None else stamp_ns)
 
-    def hear(self, report: SafetyReport) -> None:
-        """Take a report of the observer: a stop withdraws the goal, unexpected contact changes what is planned."""
-        if report.reason:
-            self.withdraw(f"the observer stopped the arm ({report.reason})")
-        else:
-            self.touched(report.contact)
+    def objection(self, contact: Contact | None, excess: bool) -> str:
+        """Why the goal has to be withdrawn, if there is one: a contact that nothing explains, or one too strong.
 
-    def touched(self, contact: Contact | None) -> bool:
-        """Take the contact within the budget that the observer reports, None for none; returns whether plans change."""
-        if self.goal is None or self.state is None:
-            return False
-        changes = self.reaction.report(contact, self.state.q, self.obstacles.spheres, self.state.stamp_ns)
-        if changes:
-            self.due_ns = self.state.stamp_ns
-        if self._progress is not None and self.reaction.reason:
-            self._progress.end(GoalPhase.WITHDRAWN, self.reaction.reason)
-        return changes
+        `contact` and `excess` are the observer's. The caller withdraws the goal.
+        """
+        if self.goal is None or self.state is None or contact is None:
+            self._unexpected_ns = None
+            return ""
+        if excess:
+            return f"contact of {describe_contact(contact)}, more than the permitted force"
+        if self._explanation is None:
+            return ""
+        found = self._explanation.unexpected(contact, self.state.q, self.obstacles.spheres)
+        now_ns = self.state.stamp_ns
+        if found is None:
+            self._unexpected_ns = None
+        elif self._unexpected_ns is None:
+            self._unexpected_ns = now_ns
+        elif now_ns - self._unexpected_ns >= PATIENCE_NS:
+            return f"unexpected contact of {describe_contact(found)}"
+        return ""
 
-    def request(self, state: JointState, clock_ns: int | None = None) -> Request | None:
+    def request(self, state: JointState) -> Request | None:
         """Take a joint state; returns what to plan from it, None while no plan is due.
-
-        `clock_ns`: when it came, on a clock that never jumps; its stamp where it is None.
 
         Raises
         ------
@@ -301,13 +238,6 @@ class Planner:
         stamp_ns, q, v, _ = state
         if not np.isfinite(q.sum() + v.sum()):
             raise InputError(f"joint_states: position and velocity must be finite, got {q.tolist()}, {v.tolist()}")
-        clock_ns = stamp_ns if clock_ns is None else clock_ns
-        paused_ns, self._clock_ns = clock_ns - (self._clock_ns or clock_ns), clock_ns
-        if paused_ns > _ABANDONED_NS and self.goal is not None:
-            why = f"joint states paused for {paused_ns / NANOSECONDS:.1f} s: send the goal again to go on"
-            self.withdraw(why)
-            if self._refuse is not None:
-                self._refuse("goals", InputError(why))
         self.state = state
         self.obstacles.advance(stamp_ns)
         if self._pending is not None:
@@ -321,16 +251,12 @@ class Planner:
         if self.goal is None or stamp_ns < self.due_ns:
             return None
         self.due_ns = stamp_ns + self.settings.period_ns
-        self.reaction.moved(self._model.tip_pose(q)[0])
         problem = self.obstacles.problem(stamp_ns)
         if problem:
             self._report("plans", InputError(problem))
             return None
-        goal, back, spheres = self.goal, self.reaction.position, self.obstacles.spheres
-        if back is not None:
-            goal = dataclasses.replace(goal, position=back)
         effect_ns = stamp_ns + self._latency_ns
-        return Request(q, v, stamp_ns, effect_ns, goal, spheres, self.speed_scale, detours=back is None)
+        return Request(q, v, stamp_ns, effect_ns, self.goal, self.obstacles.spheres, self.speed_scale)
 
     def solve(self, request: Request) -> Plan:
         """Make the plan that was requested.
@@ -395,4 +321,4 @@ class Planner:
 
     def _pursue(self, goal: Target) -> None:
         self.goal = goal
-        self.reaction.reset()
+        self._unexpected_ns = None

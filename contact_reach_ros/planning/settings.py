@@ -115,7 +115,7 @@ class PlanningSettings(Settings):
 SPEED_SCALE = "speed_scale"
 """Name of the setting that may be changed while the planner runs."""
 
-IGNORE, RETREAT = REACTIONS = ("ignore", "retreat")
+IGNORE, GIVE_WAY = REACTIONS = ("ignore", "give way")
 """Reaction to contact that no known obstacle explains."""
 
 
@@ -165,9 +165,9 @@ class UnexpectedContactSettings(Settings):
     """How the planner reacts to a contact that no known obstacle explains."""
 
     reaction: str = setting(
-        RETREAT,
-        "reaction to contact within the budget that no known obstacle explains: none; or a retreat of the flange "
-        "along its path, where the arm waits for another goal",
+        GIVE_WAY,
+        "reaction to contact within the budget that no known obstacle explains: none; or the goal is withdrawn, and "
+        "the controller gives way",
         choices=REACTIONS,
     )
 

@@ -278,13 +278,13 @@ class _ControllerLoop(_Loop):
         if message is None:
             self.missing += 1
         elif message.name == "observer":
-            self.controller.hear(read_verdict(message), self._clock_ns(row))
+            self.controller.hear(read_verdict(message, self.inputs.arm), self._clock_ns(row))
         elif self.controller.settings.supervision.adapter:
             self.controller.in_force = read_in_force(message, self.controller.in_force)
 
     def _follow(self, row: Row) -> None:
         message = self.inputs.message(TOPICS[row.what], row.sent_ns)
-        references, stamp_ns = self.controller.references, self.controller.stamp_ns
+        references, stamp_ns = self.controller.follower.queue, self.controller.stamp_ns
         if message is None:
             self.lose()
         elif row.what is Taken.REFERENCE_POSE:

@@ -9,7 +9,7 @@ from arm_simulation import ARM
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_reach_ros.control.controller import blend
+from contact_reach_ros.control.follower import blend
 from contact_reach_ros.control.references import PoseKnots, PostureKnots, Reference, ReferenceQueue
 from contact_reach_ros.errors import InputError
 

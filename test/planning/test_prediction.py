@@ -7,7 +7,7 @@ from planning_helpers import MS
 from plans import make_plan
 
 from contact_reach_ros.arm import link_frames, rotation_about
-from contact_reach_ros.control.controller import blend
+from contact_reach_ros.control.follower import blend
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.prediction import Predictor, hold_at, pieces_between, reference_at

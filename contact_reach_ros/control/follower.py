@@ -1,0 +1,169 @@
+"""The reference that the law follows: the knot in force, or a pose to hold."""
+
+from __future__ import annotations
+
+import math
+
+from contact_reach_ros.arm import Array
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.control.kernels import between, turned
+from contact_reach_ros.control.references import Reference, ReferenceQueue
+from contact_reach_ros.control.settings import AXIS, POSITION, ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.timing import NANOSECONDS
+
+MAX_PLAN_LEAD = 1.0
+"""Time in the future above which the stamp of a plan is refused, s: such a stamp is from another clock."""
+MAX_PLAN_DURATION = 1.0
+"""Duration above which a plan is refused, s: the arm would follow a planner that is gone."""
+
+
+class Follower:
+    """Follows the plan in force; without one it holds the arm where it is.
+
+    From knot to knot the reference moves within `reference_ramp`. When a plan ends, runs out or is dropped, the hold
+    begins at the measured pose at once, so that the arm presses no harder than it did.
+
+    Attributes
+    ----------
+    queue
+        Plans in force or waiting.
+    reference
+        What was followed last; None before `hold`.
+    had_plan
+        Whether a plan was followed since the last `restart`.
+    """
+
+    def __init__(self, n: int, impedance: ImpedanceSettings, limits: SupervisionSettings) -> None:
+        """`n`: number of joints."""
+        self.queue = ReferenceQueue(n, MAX_PLAN_LEAD, MAX_PLAN_DURATION)
+        self.reference: Reference | None = None
+        self.had_plan = False
+        self._task = impedance.task
+        self._limits = limits
+        self._ramp_ns = round(impedance.reference_ramp * NANOSECONDS)
+        self._target: Reference | None = None
+        """The knot to which the reference is moving, or has moved; None while a pose is held."""
+        self._from: Reference | None = None
+        self._since_ns = 0
+        """Since when the target or the hold has been in force."""
+
+    def restart(self, model: RobotModel, q: Array, now_ns: int) -> None:
+        """Forget all plans, refuse those stamped before `now_ns`, and hold the arm where it is."""
+        self.queue.clear(now_ns)
+        self.had_plan = False
+        self._hold(model, q, now_ns)
+
+    def follow(self, model: RobotModel, q: Array, error: Array, now_ns: int, may_follow: bool) -> Reference:
+        """The reference for one tick.
+
+        Parameters
+        ----------
+        model
+            Updated for this state.
+        q
+            Joint positions (n,), rad.
+        error
+            Δx of the last tick, (6,), m and rad.
+        now_ns
+            Stamp of the joint state.
+        may_follow
+            Whether plans are followed at all.
+        """
+        knot = self.queue.select(now_ns) if may_follow else None
+        too_far = "" if knot is None else self._too_far(knot, model, q, error)
+        if too_far:
+            self.queue.drop(f"plan dropped: {too_far}; plan from the arm's state, or raise the limit")
+        if knot is None or too_far:
+            if self._target is not None or self.reference is None:
+                self._hold(model, q, now_ns)
+        else:
+            self.had_plan = True
+            self._move_to(knot, now_ns)
+        assert self.reference is not None
+        return self.reference
+
+    @property
+    def follows(self) -> bool:
+        """Whether the last tick followed a plan."""
+        return self._target is not None
+
+    def held_for(self, now_ns: int) -> float:
+        """Time since the last plan, s; 0 while one is followed."""
+        return 0.0 if self.follows else (now_ns - self._since_ns) / NANOSECONDS
+
+    def set_back(self, by_ns: int) -> None:
+        """Take note that the clock was set back: elapsed times do not shrink with it."""
+        self._since_ns -= by_ns
+
+    def _hold(self, model: RobotModel, q: Array, now_ns: int) -> None:
+        self.reference = Reference(model.position.copy(), model.rotation.copy(), q.copy())
+        self._target, self._since_ns = None, now_ns
+
+    def _move_to(self, target: Reference, now_ns: int) -> None:
+        """Set the reference on the way from the last one to the knot in force; a step would jerk the arm."""
+        if target is not self._target:
+            self._from, self._since_ns, self._target = self.reference or target, now_ns, target
+        elapsed_ns = now_ns - self._since_ns
+        if elapsed_ns >= self._ramp_ns or self._from is None:
+            self.reference = target
+        else:
+            self.reference = blend(self._from, target, elapsed_ns / self._ramp_ns)
+
+    def _too_far(self, reference: Reference, model: RobotModel, q: Array, error: Array) -> str:
+        """In what the reference is out of the workspace or too far from the arm; empty when in nothing."""
+        limits = self._limits
+        if reference is not self._target:
+            beyond = _beyond(reference.position, limits)
+            if beyond:
+                return beyond
+            distance = math.dist(reference.position.tolist(), model.position.tolist())
+            angle = _turn(reference.rotation, model.rotation, self._task)
+        else:
+            # Of the last tick: it has been computed anyway.
+            x, y, z, *turn = error.tolist()
+            distance, angle = math.hypot(x, y, z), math.hypot(*turn)
+        if not distance <= limits.max_position_error:
+            return (
+                f"x_d is {distance:.3f} m from the tip, permitted {limits.max_position_error:g} m (max_position_error)"
+            )
+        if not angle <= limits.max_rotation_error:
+            return f"x_d is turned by {angle:.2f} rad, permitted {limits.max_rotation_error:g} rad (max_rotation_error)"
+        errors = abs(reference.posture - q)
+        if not float(errors.max()) <= limits.max_posture_error:
+            joint = int(errors.argmax())
+            name, found, permitted = model.arm.joint_names[joint], errors[joint], limits.max_posture_error
+            return f"q_d is {found:.2f} rad from {name}, permitted {permitted:g} rad (max_posture_error)"
+        return ""
+
+
+def blend(start: Reference, end: Reference, share: float) -> Reference:
+    """The reference at `share` (0 to 1) of the way from `start` to `end`, rotations along the shortest arc."""
+    return Reference(
+        position=between(start.position, end.position, share),
+        rotation=turned(start.rotation, end.rotation, share),
+        posture=between(start.posture, end.posture, share),
+    )
+
+
+def _beyond(position: Array, limits: SupervisionSettings) -> str:
+    """In which coordinate a position (3,), m, is out of the workspace; empty when in none."""
+    for axis, found, least, greatest in zip(
+        "xyz", position.tolist(), limits.workspace_minimum, limits.workspace_maximum, strict=True
+    ):
+        if not least <= found <= greatest:
+            return (
+                f"{axis} of x_d is {found:.3f} m, permitted {least:g} to {greatest:g} m (workspace_minimum, "
+                "workspace_maximum)"
+            )
+    return ""
+
+
+def _turn(reference: Array, rotation: Array, task: str) -> float:
+    """Angle between two orientations (3, 3), as far as law (1) controls it, rad."""
+    if task == POSITION:
+        return 0.0
+    if task == AXIS:
+        cosine = float(reference[:, 2] @ rotation[:, 2])
+    else:
+        cosine = 0.5 * (float((reference * rotation).sum()) - 1.0)
+    return math.acos(min(max(cosine, -1.0), 1.0))
