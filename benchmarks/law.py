@@ -52,9 +52,10 @@ class ImpedanceLaw:
         factor, regular = kernels.factorise(model.mass_matrix, 0.0)
         if not regular:
             raise FloatingPointError("the mass matrix is not positive definite: the state is not finite")
-        posture_torque = kernels.posture_torque(self._constants, posture_error, v)
         vectors = np.column_stack([model.jacobian, model.twist, model.drift, error])
         rows = kernels.controlled(vectors, model.rotation, self.settings.rows)
-        return kernels.law_torque(
-            self._constants, factor, rows[:, :-3], rows[:, -3], rows[:, -2], rows[:, -1], posture_torque
+        return sum(
+            kernels.law_torques(
+                self._constants, factor, rows[:, :-3], rows[:, -3], rows[:, -2], rows[:, -1], posture_error, v
+            )
         )

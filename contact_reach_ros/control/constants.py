@@ -25,15 +25,8 @@ REPULSION_SHARE = 0.5
 REPULSION_DAMPING = 10.0
 """Damping of motion towards a limit, at the limit, N m s/rad, for the strongest joint; the others' are in proportion to
 their torque limits. Without it the repulsion would throw the joint back."""
-BRAKED_SHARE = 0.3
-"""Joint speed beyond which motion in the null space is braked, as a share of the data sheet's limit: the task needs the
-rest."""
-CEILING_SHARE = 0.9
-"""Joint speed beyond which no joint is driven, as a share of the data sheet's limit, at which the arm is stopped."""
-CEILING_RATE = 100.0
-"""Greatest acceleration per speed left below that ceiling, and deceleration per speed above it, 1/s: ten states at the
-usual rate."""
-
+JOINT_SHARE = 0.7
+"""Joint speed beyond which the arm is not driven, as a share of the data sheet's limit, at which it is stopped."""
 IMPACT_ENERGY = 0.13
 """Kinetic energy in the direction of a point's motion beyond which the arm is not driven, J: a body of 75 N/mm is hit
 with 140 N."""
@@ -73,9 +66,6 @@ def make_constants(
         Constant.REPULSION_DAMPING: stable_damping(
             REPULSION_DAMPING * torques / torques.max(), lightness(arm).mobility, period
         ),
-        Constant.BRAKED_SPEED: BRAKED_SHARE * speeds,
-        Constant.SPEED_CEILING: CEILING_SHARE * speeds,
-        Constant.SPEED_RATE: CEILING_RATE,
         Constant.TORQUE_CAP: limits.torque_share * torques,
         Constant.TORQUE_RATE: torque_rates(arm, limits),
         Constant.GRAVITY_SHARE: float(supervision.gravity_compensation),
@@ -83,6 +73,7 @@ def make_constants(
         Constant.TASK_ROWS: impedance.rows,
         Constant.TIP_FORCE: limits.tip_force,
         Constant.BODY_SPEED: limits.body_speed,
+        Constant.JOINT_SPEED: JOINT_SHARE * speeds,
         Constant.IMPACT_ENERGY: IMPACT_ENERGY,
         Constant.POSTURE_REACH: POSTURE_REACH,
     }

@@ -40,18 +40,16 @@ class Constant(IntEnum):
     REPULSION_MARGIN = 7
     REPULSION_STRENGTH = 8
     REPULSION_DAMPING = 9
-    BRAKED_SPEED = 10
-    SPEED_CEILING = 11
-    SPEED_RATE = 12
-    TORQUE_CAP = 13
-    TORQUE_RATE = 14
-    GRAVITY_SHARE = 15
-    STOP_RATE = 16
-    TASK_ROWS = 17
-    TIP_FORCE = 18
-    BODY_SPEED = 19
-    IMPACT_ENERGY = 20
-    POSTURE_REACH = 21
+    TORQUE_CAP = 10
+    TORQUE_RATE = 11
+    GRAVITY_SHARE = 12
+    STOP_RATE = 13
+    TASK_ROWS = 14
+    TIP_FORCE = 15
+    BODY_SPEED = 16
+    JOINT_SPEED = 17
+    IMPACT_ENERGY = 18
+    POSTURE_REACH = 19
 
 
 _POSITION_ROWS, _AXIS_ROWS = 3, 5
@@ -61,12 +59,6 @@ _JERK_SHARE = 0.3
 """Share of the jerk that a joint's own torque can produce that is relied upon to end its acceleration in time.
 
 The other joints' torques change meanwhile and may work against it.
-"""
-
-_SPEED_SWEEPS = 3
-"""Times that `keep_speed` goes through the joints: what one takes back may be what another brakes with.
-
-With references that jump about near singularities one of 300 arms became too fast with one, none with two or three.
 """
 
 _FADE = 0.15
@@ -328,7 +320,7 @@ def solve_bounded(matrix: Array, vector: Array, floor: float) -> Array:
 
 @_compiled()
 def push_share(driving: Array, braking: Array, most: float) -> float:
-    """Greatest share s of a force, 0 to 1, with which |s F + D| ≤ `most`, for the first three rows of both, N.
+    """Greatest share s, 0 to 1, with which |s F + D| ≤ `most`, for two forces (3,), N.
 
     Where the damping D alone exceeds it, the share that comes nearest.
     """
@@ -344,78 +336,126 @@ def push_share(driving: Array, braking: Array, most: float) -> float:
 
 
 @_compiled()
-def speed_share(
-    constants: Array, placements: Array, links: Array, points: Array, q: Array, v: Array, mass_factor: Array
-) -> float:
-    """Greatest speed of the points as a share of the permitted one: by speed, or by the energy ½ ẋ² / (nᵀ J M⁻¹ Jᵀ n).
-
-    n is the direction of a point's motion; the arguments after `constants` are those of `constants.Body`, q (n,) rad, q̇
-    (n,) rad/s, and the Cholesky factor of M.
-    """
+def joint_frames(placements: Array, q: Array) -> tuple[Array, Array]:
+    """Rotations (n, 3, 3) and origins (n, 3), m, of the joints' frames, from the placements of `constants.Body`."""
     n = len(q)
-    rotation, turned_by, origin = np.eye(3), np.empty((3, 3)), np.zeros(3)
-    axes, origins, rotations = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3))
+    rotations, origins = np.empty((n, 3, 3)), np.empty((n, 3))
+    rotation, placed, origin = np.eye(3), np.empty((3, 3)), np.zeros(3)
     for i in range(n):
         cosine, sine = np.cos(q[i]), np.sin(q[i])
         for row in range(3):
-            step = 0.0
-            for k in range(3):
-                step += rotation[row, k] * placements[3 * i + k, 3]
+            for column in range(4):
                 total = 0.0
-                for m in range(3):
-                    total += rotation[row, m] * placements[3 * i + m, k]
-                turned_by[row, k] = total
-            origin[row] += step
-        for row in range(3):
-            rotation[row, 0] = cosine * turned_by[row, 0] + sine * turned_by[row, 1]
-            rotation[row, 1] = cosine * turned_by[row, 1] - sine * turned_by[row, 0]
-            rotation[row, 2] = turned_by[row, 2]
-            axes[i, row], origins[i, row] = turned_by[row, 2], origin[row]
-        rotations[i] = rotation
-    most, rows, lever = 0.0, np.empty((n, 3)), np.empty(3)
-    for index in range(len(links)):
-        link = int(links[index])
-        motion = np.zeros(3)
-        for i in range(link + 1):
-            for row in range(3):
-                lever[row] = origins[link, row] - origins[i, row]
                 for k in range(3):
-                    lever[row] += rotations[link, row, k] * points[index, k]
-            for row in range(3):
-                j, k = (row + 1) % 3, (row + 2) % 3
-                rows[i, row] = axes[i, j] * lever[k] - axes[i, k] * lever[j]
-                motion[row] += rows[i, row] * v[i]
-        speed = np.sqrt(motion[0] ** 2 + motion[1] ** 2 + motion[2] ** 2)
-        if speed < 1e-3:
-            continue
-        direction = np.zeros(n)
-        for i in range(link + 1):
-            for row in range(3):
-                direction[i] += rows[i, row] * motion[row] / speed
-        solution, mobility = solve_lower(mass_factor, direction), 0.0
-        for i in range(n):
-            mobility += solution[i] * solution[i]
-        energy = 0.5 * speed * speed / mobility
-        share = max(speed / constants[Constant.BODY_SPEED, 0], np.sqrt(energy / constants[Constant.IMPACT_ENERGY, 0]))
-        most = max(most, share)
-    return most
+                    total += rotation[row, k] * placements[3 * i + k, column]
+                if column < 3:
+                    placed[row, column] = total
+                else:
+                    origin[row] += total
+        for row in range(3):
+            rotation[row, 0] = cosine * placed[row, 0] + sine * placed[row, 1]
+            rotation[row, 1] = cosine * placed[row, 1] - sine * placed[row, 0]
+            rotation[row, 2] = placed[row, 2]
+        rotations[i], origins[i] = rotation, origin
+    return rotations, origins
 
 
 @_compiled()
-def law_torque(
+def point_jacobian(rotations: Array, origins: Array, link: int, point: Array) -> Array:
+    """J_pᵀ (n, 3) of a point (3,), m, in the frame of a joint that moves it."""
+    n = len(origins)
+    rows, lever = np.zeros((n, 3)), np.empty(3)
+    for i in range(link + 1):
+        for row in range(3):
+            lever[row] = origins[link, row] - origins[i, row]
+            for k in range(3):
+                lever[row] += rotations[link, row, k] * point[k]
+        for row in range(3):
+            j, k = (row + 1) % 3, (row + 2) % 3
+            rows[i, row] = rotations[i, j, 2] * lever[k] - rotations[i, k, 2] * lever[j]
+    return rows
+
+
+@_compiled()
+def moving_mass(rows: Array, direction: Array, mass_factor: Array) -> float:
+    """Mass, kg, that moves with a point in a direction (3,) of length 1: 1 / (nᵀ J_p M⁻¹ J_pᵀ n)."""
+    solution, mobility = solve_lower(mass_factor, times(rows, direction)), 1e-9
+    for i in range(len(solution)):
+        mobility += solution[i] * solution[i]
+    return 1.0 / mobility
+
+
+@_compiled()
+def norm(vector: Array) -> float:
+    """Length of a vector (3,)."""
+    return np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+
+
+@_compiled()
+def body_shares(
+    constants: Array,
+    placements: Array,
+    links: Array,
+    points: Array,
+    q: Array,
+    v: Array,
+    mass_factor: Array,
+    driving: Array,
+    braking: Array,
+) -> tuple[float, float]:
+    """Greatest speed as a share of the permitted one, and the share of the driving torque that is permitted.
+
+    The speed is that of joints and points, or by the energy of the mass that moves with a point. The force is what a
+    body would feel that blocks a point in the direction of its acceleration.
+
+    Parameters
+    ----------
+    placements, links, points
+        Attributes of `constants.Body`.
+    q, v
+        (n,), rad and rad/s.
+    mass_factor
+        Cholesky factor L of M, (n, n).
+    driving, braking
+        Torques (n,), N m, of stiffness and of damping.
+    """
+    speed_share, share = 0.0, 1.0
+    for i in range(len(q)):
+        speed_share = max(speed_share, abs(v[i]) / constants[Constant.JOINT_SPEED, i])
+    speeding = solve_upper(mass_factor, solve_lower(mass_factor, driving))
+    slowing = solve_upper(mass_factor, solve_lower(mass_factor, braking))
+    rotations, origins = joint_frames(placements, q)
+    for index in range(len(links)):
+        rows = point_jacobian(rotations, origins, int(links[index]), points[index])
+        motion = times(rows.T, v)
+        speed = norm(motion)
+        if speed > 1e-3:
+            energy = 0.5 * speed * speed * moving_mass(rows, motion / speed, mass_factor)
+            by_energy = np.sqrt(energy / constants[Constant.IMPACT_ENERGY, 0])
+            speed_share = max(speed_share, speed / constants[Constant.BODY_SPEED, 0], by_energy)
+        push = times(rows.T, speeding)
+        acceleration = norm(push)
+        if acceleration > 1e-3:
+            mass = moving_mass(rows, push / acceleration, mass_factor)
+            most = constants[Constant.TIP_FORCE, 0] / mass
+            share = min(share, push_share(push, times(rows.T, slowing), most))
+    return speed_share, share
+
+
+@_compiled()
+def law_torques(
     constants: Array,
     mass_factor: Array,
     jacobian: Array,
     twist: Array,
     drift: Array,
     error: Array,
-    joint_torque: Array,
-    most: float,
-) -> Array:
-    """τ of law (3) without the C + g of law (1), (n,), N m.
+    posture_error: Array,
+    v: Array,
+) -> tuple[Array, Array, Array]:
+    """τ of law (3) without the C + g of law (1) as the sum of three torques (n,), N m: stiffness, damping, and drift.
 
-    (1) + (2) as Jᵀ Λ (ẍ_cmd − J M⁻¹ τ₀) + τ₀, since Nᵀ = I − Jᵀ Λ J M⁻¹. Of the push −Kp Δx it takes the share that
-    drives the arm with no more than the permitted force beyond its damping.
+    (1) + (2) as Jᵀ Λ (ẍ_cmd − J M⁻¹ τ₀) + τ₀, since Nᵀ = I − Jᵀ Λ J M⁻¹.
 
     Parameters
     ----------
@@ -425,39 +465,31 @@ def law_torque(
         J (m, n), ẋ (m,) and J̇ q̇ (m,).
     error
         Δx, (m,).
-    joint_torque
-        τ₀, (n,), N m.
-    most
-        Greatest share of the push, 0 to 1.
+    posture_error, v
+        Δq (n,), rad, and q̇ (n,), rad/s. q_d = 0 makes law (2) that of law (6).
     """
     m, n = jacobian.shape
-    stiffness, damping = constants[Constant.TASK_STIFFNESS, 0], constants[Constant.TASK_DAMPING, 0]
     # J M⁻¹ Jᵀ = Y Yᵀ with Y = J L⁻ᵀ, and J M⁻¹ τ₀ = Y L⁻¹ τ₀.
     rows = np.empty((m, n))
     for row in range(m):
-        solution = solve_lower(mass_factor, jacobian[row])
-        for k in range(n):
-            rows[row, k] = solution[k]
-    pull = times(rows, solve_lower(mass_factor, joint_torque))
-    mobility, push, brake, rest = np.empty((m, m)), np.empty(m), np.empty(m), np.empty(m)
+        rows[row] = solve_lower(mass_factor, jacobian[row])
+    mobility = np.empty((m, m))
     for row in range(m):
         for column in range(row + 1):
             product = 0.0
             for k in range(n):
                 product += rows[row, k] * rows[column, k]
             mobility[row, column] = mobility[column, row] = product
-        push[row], brake[row] = -stiffness * error[row], -damping * twist[row]
-        rest[row] = -drift[row] - pull[row]
     floor = constants[Constant.SINGULARITY_FLOOR, 0]
-    driving, braking = solve_bounded(mobility, push, floor), solve_bounded(mobility, brake, floor)
-    wrench = solve_bounded(mobility, rest, floor)
-    share = min(push_share(driving, braking, constants[Constant.TIP_FORCE, 0]), most)
+    driving = -constants[Constant.NULL_STIFFNESS] * posture_error
+    braking = -constants[Constant.NULL_DAMPING] * v
+    pull, drag = times(rows, solve_lower(mass_factor, driving)), times(rows, solve_lower(mass_factor, braking))
     for row in range(m):
-        wrench[row] += share * driving[row] + braking[row]
-    torque = times(jacobian.T, wrench)
-    for i in range(n):
-        torque[i] += joint_torque[i]
-    return torque
+        pull[row] = -constants[Constant.TASK_STIFFNESS, 0] * error[row] - pull[row]
+        drag[row] = -constants[Constant.TASK_DAMPING, 0] * twist[row] - drag[row]
+    driving += times(jacobian.T, solve_bounded(mobility, pull, floor))
+    braking += times(jacobian.T, solve_bounded(mobility, drag, floor))
+    return driving, braking, times(jacobian.T, solve_bounded(mobility, -drift, floor))
 
 
 @_compiled()
@@ -482,20 +514,6 @@ def repulsion_torque(constants: Array, q: Array, v: Array) -> Array:
 
 
 @_compiled()
-def null_brake(constants: Array, v: Array, mass_matrix: Array) -> Array:
-    """τ₀ = −M k e (n,) in N m that brakes joints in the null space, e being their speeds beyond a share of the limit.
-
-    Null-space motion that posture references cause has little damping of its own; the task does not feel this torque.
-    """
-    n = len(v)
-    braked, rate = constants[Constant.BRAKED_SPEED], constants[Constant.SPEED_RATE]
-    acceleration = np.empty(n)
-    for i in range(n):
-        acceleration[i] = -rate[i] * np.sign(v[i]) * max(abs(v[i]) - braked[i], 0.0)
-    return times(mass_matrix, acceleration)
-
-
-@_compiled()
 def inverse(factor: Array) -> Array:
     """A⁻¹ of A = L Lᵀ."""
     size = len(factor)
@@ -505,98 +523,6 @@ def inverse(factor: Array) -> Array:
         unit[i] = 1.0
         result[i] = solve_upper(factor, solve_lower(factor, unit))
     return result
-
-
-@_compiled()
-def permitted_acceleration(constants: Array, joint: int, left: float, inverse_mass: Array) -> float:
-    """Greatest acceleration, rad/s², of a joint whose speed may grow by `left`, rad/s; negative where it is too fast.
-
-    It is k times what is left, and at most what the joint's own torque can end in time at its greatest rate.
-    """
-    rate = constants[Constant.SPEED_RATE, joint]
-    jerk = _JERK_SHARE * constants[Constant.TORQUE_RATE, joint] * inverse_mass[joint, joint]
-    if left <= jerk / rate**2:
-        return rate * left
-    return np.sqrt(2.0 * jerk * left - (jerk / rate) ** 2)
-
-
-@_compiled()
-def excess_acceleration(constants: Array, v: Array, inverse_mass: Array, joint: int, acceleration: float) -> float:
-    """Part of a joint's acceleration, rad/s², beyond the permitted one on the way to its speed limit v_max."""
-    speed, ceiling = v[joint], constants[Constant.SPEED_CEILING, joint]
-    most = permitted_acceleration(constants, joint, ceiling - speed, inverse_mass)
-    least = -permitted_acceleration(constants, joint, ceiling + speed, inverse_mass)
-    # The speed that a joint has is braked first, however soon it may then have to stop on the other side.
-    if speed > 0.0:
-        least = min(least, most)
-    else:
-        most = max(most, least)
-    return max(acceleration - most, 0.0) + min(acceleration - least, 0.0)
-
-
-@_compiled()
-def speed_limit_torque(constants: Array, v: Array, mass_matrix: Array, inverse_mass: Array, drive: Array) -> Array:
-    """Torque to add, (n,) in N m, so that no joint is driven beyond its speed limit, however strong the torques.
-
-    The torque −M e removes the excess accelerations e of q̈ = M⁻¹ τ and leaves those of the other joints alone.
-    `drive` is τ: all that drives the arm, without what only compensates C + g.
-    """
-    n = len(v)
-    change = times(inverse_mass, drive)
-    for i in range(n):
-        change[i] = -excess_acceleration(constants, v, inverse_mass, i, change[i])
-    return times(mass_matrix, change)
-
-
-@_compiled()
-def hold_others_back(
-    inverse_mass: Array, joint: int, excess: float, acceleration: Array, torque: Array, previous: Array
-) -> None:
-    """Take back what the other joints' changes of `torque` (n,), N m, add to a joint's excess acceleration, rad/s².
-
-    Of all that add to it the same share, no more than the excess takes; `acceleration` (n,), rad/s², follows. Near a
-    straight elbow they would undo most of what the joint's own torque does at its greatest rate.
-    """
-    n, adding = len(torque), 0.0
-    for k in range(n):
-        if k != joint:
-            adding += max(np.sign(excess) * inverse_mass[joint, k] * (torque[k] - previous[k]), 0.0)
-    if adding == 0.0:
-        return
-    share = min(abs(excess) / adding, 1.0)
-    for k in range(n):
-        change = torque[k] - previous[k]
-        if k != joint and excess * inverse_mass[joint, k] * change > 0.0:
-            torque[k] = previous[k] + (1.0 - share) * change
-            for row in range(n):
-                acceleration[row] -= inverse_mass[row, k] * share * change
-
-
-@_compiled()
-def keep_speed(
-    constants: Array, v: Array, inverse_mass: Array, drive: Array, torque: Array, previous: Array, period: float
-) -> None:
-    """Restore in `torque` (n,), N m, what `limit_torque` has undone of `speed_limit_torque`.
-
-    A joint that would still be accelerated too much is held back by its own torque, as far as cap and rate permit, and
-    where that is not enough, by the others changing less. `drive` (n,) is the part of `torque` that drives the arm,
-    without what only compensates C + g.
-    """
-    n = len(torque)
-    acceleration = times(inverse_mass, drive)
-    rate, cap = constants[Constant.TORQUE_RATE], constants[Constant.TORQUE_CAP]
-    for _ in range(_SPEED_SWEEPS):
-        for i in range(n):
-            excess = excess_acceleration(constants, v, inverse_mass, i, acceleration[i])
-            if excess != 0.0:
-                step = rate[i] * period
-                wanted = torque[i] - excess / inverse_mass[i, i]
-                wanted = min(max(wanted, previous[i] - step, -cap[i]), previous[i] + step, cap[i])
-                for k in range(n):
-                    acceleration[k] += inverse_mass[i, k] * (wanted - torque[i])
-                torque[i] = wanted
-                excess = excess_acceleration(constants, v, inverse_mass, i, acceleration[i])
-                hold_others_back(inverse_mass, i, excess, acceleration, torque, previous)
 
 
 @_compiled()
@@ -619,17 +545,6 @@ def limit_torque(constants: Array, torque: Array, previous: Array, period: float
             limited[i] = previous[i] + share * (limited[i] - previous[i])
         limited[i] = min(max(limited[i], -cap[i]), cap[i])
     return limited
-
-
-@_compiled()
-def posture_torque(constants: Array, posture_error: Array, v: Array) -> Array:
-    """τ₀ of law (2), (n,) in N m, for Δq = q − q_d in rad and speeds in rad/s; q_d = 0 makes it that of law (6)."""
-    n = len(v)
-    stiffness, damping = constants[Constant.NULL_STIFFNESS], constants[Constant.NULL_DAMPING]
-    torque = np.empty(n)
-    for i in range(n):
-        torque[i] = -stiffness[i] * posture_error[i] - damping[i] * v[i]
-    return torque
 
 
 @_compiled()
@@ -749,7 +664,7 @@ def tracking_torque(
     previous, period
         The last torque sent (n,), N m, and the time since then, s.
     found
-        (7,), overwritten with Δx as `pose_error` gives it, and `speed_share`.
+        (7,), overwritten with Δx as `pose_error` gives it, and the greatest share of `body_shares`.
     """
     n, task_rows = len(v), int(constants[Constant.TASK_ROWS, 0])
     deviation = pose_error(position, rotation, reference_position, reference_rotation, task_rows)
@@ -763,29 +678,20 @@ def tracking_torque(
     factor, regular = factorise(mass_matrix, 0.0)
     if not regular:
         return np.full(n, np.nan)
-    found[6] = speed_share(constants, placements, links, points, q, v, factor)
-    push = min(max((1.0 + _FADE - found[6]) / _FADE, 0.0), 1.0)
     posture_error = np.empty(n)
     for i in range(n):
         reach = constants[Constant.POSTURE_REACH, i]
-        posture_error[i] = push * min(max(q[i] - reference_posture[i], -reach), reach)
-    joint_torque = posture_torque(constants, posture_error, v)
-    brake = null_brake(constants, v, mass_matrix)
-    for i in range(n):
-        joint_torque[i] += brake[i]
-    torque = law_torque(constants, factor, rows[:, :n], rows[:, n], rows[:, n + 1], rows[:, n + 2], joint_torque, push)
+        posture_error[i] = min(max(q[i] - reference_posture[i], -reach), reach)
+    driving, braking, rest = law_torques(
+        constants, factor, rows[:, :n], rows[:, n], rows[:, n + 1], rows[:, n + 2], posture_error, v
+    )
+    found[6], push = body_shares(constants, placements, links, points, q, v, factor, driving, braking)
+    push = min(push, max((1.0 + _FADE - found[6]) / _FADE, 0.0))
+    torque = push * driving + braking + rest
     repulsion = repulsion_torque(constants, q, v)
     for i in range(n):
         torque[i] += repulsion[i]
-    inverse_mass = inverse(factor)
-    change = speed_limit_torque(constants, v, mass_matrix, inverse_mass, torque)
     share = constants[Constant.GRAVITY_SHARE]
     for i in range(n):
-        torque[i] = authority * (torque[i] + change[i] + bias[i] - gravity[i]) + share[i] * gravity[i]
-    sendable = sendable_torque(constants, torque, previous, period)
-    if np.isfinite(sendable[0]):
-        drive = np.empty(n)
-        for i in range(n):
-            drive[i] = sendable[i] - bias[i] + (1.0 - share[i]) * gravity[i]
-        keep_speed(constants, v, inverse_mass, drive, sendable, previous, period)
-    return sendable
+        torque[i] = authority * (torque[i] + bias[i] - gravity[i]) + share[i] * gravity[i]
+    return sendable_torque(constants, torque, previous, period)
