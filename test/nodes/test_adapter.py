@@ -24,7 +24,7 @@ TORQUE = GRAVITY + np.arange(7)
 
 
 def held_energy(torque):
-    """What a torque has beyond the weight, as the energy of springs in proportion to the mass matrix, N² m² / (kg m²)."""
+    """Energy of springs that pull with what a torque has beyond the weight; their stiffness is the mass matrix."""
     beyond = np.asarray(torque) - GRAVITY
     return beyond @ np.linalg.solve(MODEL.mass_matrix, beyond)
 
