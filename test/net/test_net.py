@@ -5,18 +5,17 @@ cost change places and the runs part: the tolerances are twice what other compil
 """
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
 from episodes import RECORDED, SCENES, SEEDS, run_episode
+from net_bags import BAGS
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.reexecution.inputs import RecordedInputs
 from contact_reach_ros.reexecution.loops import reexecute
 
-BAGS = Path(__file__).with_name("bags")
 EARLY = 60
 """Samples during which the first plans are in force."""
 
