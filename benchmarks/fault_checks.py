@@ -12,6 +12,7 @@ from benchmarks.episode_result import EpisodeResult
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.settings import LimitSettings
+from contact_reach_ros.control.supervisor import STOP_TIME
 from contact_reach_ros.simulation.faults import Fault, Push, RivalCommands
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.timing import PAUSE
@@ -26,6 +27,8 @@ TRANSIENT_TIME = 0.5
 """How long an impact may take, s, in ISO/TS 15066."""
 STILL = 0.05
 """Joint speed below which the arm is still, rad/s, as for a reset."""
+LINGER = STOP_TIME + 0.5
+"""How long the arm is watched after a stop, s: at its end at the latest the drive's brakes hold."""
 SPEED_SHARE = 1.25
 """Largest joint speed as a share of the data sheet's limit: a stop at the limit needs some time to act."""
 

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.scripted import ScriptedPlanner
 from benchmarks.episode import EpisodeOptions, run_episode
-from benchmarks.fault_checks import BOUNDS, bounds_used, end_of, violations
+from benchmarks.fault_checks import BOUNDS, LINGER, bounds_used, end_of, violations
 from benchmarks.fault_draws import random_faults
 from benchmarks.grid import Setup, prepared
 from benchmarks.output import Report, command_line, given, machine, run_command, say, table, write_report
@@ -40,7 +40,6 @@ _WORKSPACE_MINIMUM = (-2.0, -2.0, -0.05)
 """m: the floor of the scenes is 0.1 m below the base, and the hand goes down to it before its centre does."""
 _PERIOD = 0.08
 _TIMEOUT = 5.0
-_LINGER = 1.0
 _NEAREST = 3
 """Seeds that are listed for each bound."""
 _DRIVER = 2
@@ -65,7 +64,7 @@ def run_with_faults(seed: int, setup: Setup, faults: Sequence[Fault] | None = No
         rate=rate,
         settle=0.6,
         timeout=_TIMEOUT,
-        linger=_LINGER,
+        linger=LINGER,
         faults=faults,
         budget=setup.budget,
         noise_seed=seed,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +13,9 @@ from benchmarks.output import Report, command_line, given, machine, percentiles,
 from benchmarks.workers import run_each
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arms import load_arm
+from contact_reach_ros.control.supervisor import STOP_TIME
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.simulation.drive import STOP_AFTER
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.world.collision import nearest
@@ -24,8 +27,8 @@ SCENES = ("ball_mismatch",)
 """`wall_mismatch` has the same mismatch."""
 WATCHED = 5.0
 """Time after the stop, s."""
-SPEED, TRAVEL = 0.02, 0.01
-"""Wanted of the fastest joint, rad/s, and of the tip, m, within that time."""
+SPEED, TRAVEL, BRAKED = 0.02, 0.01, STOP_TIME + STOP_AFTER
+"""Wanted of the fastest joint, rad/s, of the tip, m, and of the time until the drive's brakes close, s."""
 
 _HELD = 1.5
 """Before the stop, s: the arm is handed over, and the observer's slow mean has seen what the model lacks."""
@@ -57,9 +60,11 @@ def stop_at_rest(case: tuple[str, int]) -> Report:
     stack.stop()
     model, plant = stack.controller.model, robot.plant
     start, _ = model.tip_pose(plant.data.qpos[: arm.n])
-    began, speed, travel = plant.time, 0.0, 0.0
+    began, speed, travel, braked = plant.time, 0.0, 0.0, float("nan")
     while plant.time < began + WATCHED:
         stack.step()
+        if math.isnan(braked) and robot.stop_reason:
+            braked = plant.time - began
         speed = max(speed, float(np.abs(plant.data.qvel[: arm.n]).max()))
         travel = max(travel, float(np.linalg.norm(model.tip_pose(plant.data.qpos[: arm.n])[0] - start)))
     return {
@@ -67,6 +72,7 @@ def stop_at_rest(case: tuple[str, int]) -> Report:
         "seed": seed,
         "speed": speed,
         "travel": travel,
+        "braked": braked,
         "mode": stack.controller.mode.value,
         "stopped early": early,
         "reason": stack.stop_reason,
@@ -100,17 +106,23 @@ def bench_stops(
     rows = []
     for name in scenes:
         own = [record for record in records if record["scene"] == name]
-        speeds, travels = ([record[key] for record in own] for key in ("speed", "travel"))
-        within = sum(s <= SPEED and t <= TRAVEL for s, t in zip(speeds, travels, strict=True))
+        speeds, travels, times = ([record[key] for record in own] for key in ("speed", "travel", "braked"))
+        pairs = zip(speeds, travels, times, strict=True)
+        within = sum(speed <= SPEED and travel <= TRAVEL and time <= BRAKED for speed, travel, time in pairs)
         report[name] = {
             "speed_rad_s": percentiles(speeds),
             "travel_m": percentiles(travels),
+            "braked_s": percentiles(times),
             "within": within,
             "modes": dict(Counter(record["mode"] for record in own)),
         }
-        rows.append((name, f"{within} of {postures}", _text(speeds, 1000.0), _text(travels, 1000.0)))
-    header = ("scene", "within bounds", "speed p50, p95, max (mrad/s)", "travel p50, p95, max (mm)")
-    print(f"{WATCHED:g} s after a stop; wanted {1000 * SPEED:g} mrad/s, {1000 * TRAVEL:g} mm\n{table(header, rows)}")
+        rows.append(
+            (name, f"{within} of {postures}", _text(speeds, 1000.0), _text(travels, 1000.0), _text(times, 1000.0))
+        )
+    columns = ("speed", "mrad/s"), ("travel", "mm"), ("brakes close after", "ms")
+    header = ("scene", "within bounds", *(f"{name} p50, p95, max ({unit})" for name, unit in columns))
+    wanted = f"{1000 * SPEED:g} mrad/s, {1000 * TRAVEL:g} mm, brakes within {1000 * BRAKED:g} ms"
+    print(f"{WATCHED:g} s after a stop; wanted {wanted}\n{table(header, rows)}")
     write_report(report, file)
     return report
 

@@ -10,6 +10,9 @@ _DOMAINS = range(1, 102)
 _KEPT = 12
 """More than a test needs at once: an older one is left to others, so that a long test run does not take them all."""
 
+_PARTICIPANTS = 20
+"""More than a stack has."""
+
 _own_mark: socket.socket | None = None
 _claims: deque[tuple[int, socket.socket]] = deque()
 
@@ -49,10 +52,11 @@ def _claim() -> tuple[int, socket.socket]:
 
 
 def _is_in_use(domain: int) -> bool:
-    """Whether somebody's first participant has its port: a stack that is none of the tests'."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("", 7400 + 250 * domain + 10))
-        except OSError:
-            return True
+    """Whether a participant has its port: of a stack that is none of the tests', or of a node that outlived its own."""
+    for participant in range(_PARTICIPANTS):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7400 + 250 * domain + 10 + 2 * participant))
+            except OSError:
+                return True
     return False

@@ -24,6 +24,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from ros_domains import fresh_domain
 
+from contact_reach_ros.executables import end_with_parent
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialized import joint_state_writer
 from contact_reach_ros.messages.topics import Topic
@@ -132,13 +133,19 @@ class Published:
 def running(
     command: list[str], env: dict[str, str], output: Path, prepare: Callable[[], None] | None = None
 ) -> Iterator[subprocess.Popen]:
-    """A process whose output goes to a file; interrupted, and if need be killed, at the end.
+    """A process whose output goes to a file; interrupted, and if need be killed, at the end, or with the test run.
 
     `prepare` is called in it before it becomes the command.
     """
+
+    def begin() -> None:
+        end_with_parent()
+        if prepare is not None:
+            prepare()
+
     with output.open("wb") as file:
         process = subprocess.Popen(
-            command, env=env, stdout=file, stderr=subprocess.STDOUT, start_new_session=True, preexec_fn=prepare
+            command, env=env, stdout=file, stderr=subprocess.STDOUT, start_new_session=True, preexec_fn=begin
         )
         try:
             yield process

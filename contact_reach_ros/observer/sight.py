@@ -27,8 +27,6 @@ class RateCheck:
         Mean step, and mean difference from the nominal one, ns.
     late_share
         Share of the steps that were longer than one and a half periods.
-    longest_ns
-        Longest step of the last `steps`, slowly forgotten, ns.
     """
 
     TOLERANCE = 0.5
@@ -39,7 +37,7 @@ class RateCheck:
     def __init__(self, period: float) -> None:
         """`period`: nominal time between states, s."""
         self.steps = 0
-        self.mean_ns = self.longest_ns = period * NANOSECONDS
+        self.mean_ns = period * NANOSECONDS
         self.jitter_ns = self.late_share = 0.0
         self._period_ns = period * NANOSECONDS
         self._window = max(self._LEAST, round(1.0 / period))
@@ -56,7 +54,6 @@ class RateCheck:
         self.mean_ns += share * (step - self.mean_ns)
         self.jitter_ns += share * (abs(step - self._period_ns) - self.jitter_ns)
         self.late_share += share * ((step > 1.5 * self._period_ns) - self.late_share)
-        self.longest_ns = max(step, self.longest_ns + share * (self._period_ns - self.longest_ns))
 
     def mismatch(self, least: int = _LEAST) -> str:
         """In what way the states do not come at the nominal rate; empty when they do, or before `least` steps."""
@@ -133,11 +130,12 @@ class Sight:
             return
         if self._seen_ns is None or stamp_ns < self._seen_ns:
             self._seen_ns = stamp_ns
-        if stamp_ns - self._seen_ns > self._limit_ns:
+        unseen_ns = stamp_ns - self._seen_ns
+        if unseen_ns > self._limit_ns:
             if missing or not known:
                 self._lose(missing or self._explain_motion(v))
             else:
-                self._lose(self._explain_gaps(), StopCode.MISSED_STATES)
+                self._lose(self.rate.mismatch(least=2) or _explain_gaps(unseen_ns), StopCode.MISSED_STATES)
 
     def repeated(self) -> bool:
         """Take a state whose stamp is not new; returns whether the stamps have stopped."""
@@ -158,8 +156,9 @@ class Sight:
             "effort"
         )
 
-    def _explain_gaps(self) -> str:
-        return self.rate.mismatch(least=2) or (
-            f"joint states are up to {self.rate.longest_ns / NANOSECONDS * 1000:.0f} ms apart, too far for the "
-            "external torque: look at the driver and the network"
-        )
+
+def _explain_gaps(unseen_ns: int) -> str:
+    return (
+        f"for {1000 * unseen_ns / NANOSECONDS:.0f} ms by their stamps no two joint states were near enough for the "
+        "external torque: look at the driver, its clock and the network"
+    )

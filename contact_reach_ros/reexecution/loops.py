@@ -217,7 +217,6 @@ class _ControllerLoop(_Loop):
         self.last_residual: Array | None = None
         self.simulated = bool(inputs.settings["controller"].get("use_sim_time", False))
         self.recorded = inputs.by_output(self.topic)
-        self._is_stopped = False
         self.handlers = {
             Taken.ACTIVATE: lambda _: self.controller.activate(),
             Taken.JOINT_STATES: self._tick,
@@ -253,10 +252,6 @@ class _ControllerLoop(_Loop):
         finally:
             controller.not_yet = ""
         self.note_reason(controller.stop_reason)
-        was_stopped, self._is_stopped = self._is_stopped, bool(controller.stop_reason)
-        if self.missing and self._is_stopped and not was_stopped:
-            # A stop holds what the model lacks, a slow mean, which a loss long ago still changes.
-            self.in_step = False
         if controller.state is state and torque is not None:
             self.give(row, state.stamp_ns, torque, recorded)
         controller.watch(state, clock_ns)

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, ideal_plant
 
-from benchmarks.baselines.joint_torque import HeldTorque, TorqueController, TorquePlanner, torque_step
+from benchmarks.baselines.joint_torque import HeldTorque, TorqueController, TorquePlanner, joint_damping, torque_step
 from benchmarks.baselines.method import Method
 from benchmarks.episode import EpisodeOptions, run_episode
 from contact_reach_ros.arm import link_frames
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.constants import stop_damping
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import make_objective
@@ -49,7 +48,7 @@ def test_step_is_the_arms_motion_under_gravity_compensation_and_the_torque():
 
 
 def test_an_episode_gets_nearer_to_its_goal():
-    planner = TorquePlanner(ARM, SETTINGS, GAINS, 10.0, 0, stop_damping(ARM, CONTROLLER.supervision))
+    planner = TorquePlanner(ARM, SETTINGS, GAINS, 10.0, 0, joint_damping(ARM))
     planner.warm_up(lambda line: None)
     scene = Scene("free", ARM, 0, HOME, GOAL.position)
     method = Method(planner, CONTROLLER, TorqueController)

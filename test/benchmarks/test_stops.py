@@ -1,6 +1,6 @@
 """Stops of an arm whose model does not fit it."""
 
-from benchmarks.stops import SPEED, TRAVEL, stop_at_rest
+from benchmarks.stops import BRAKED, SPEED, TRAVEL, stop_at_rest
 
 
 def test_a_stopped_arm_with_a_payload_that_nobody_knows_does_not_sink():
@@ -8,4 +8,4 @@ def test_a_stopped_arm_with_a_payload_that_nobody_knows_does_not_sink():
     assert record["stopped early"] == "" and record["reason"] == "stop requested"
     assert 0.0 < record["speed"] <= SPEED and 0.0 < record["travel"] <= TRAVEL
     # The drive's brakes have taken over.
-    assert record["mode"] == "silent"
+    assert record["mode"] == "silent" and record["braked"] <= BRAKED

