@@ -44,8 +44,6 @@ MODEL_ERROR_PER_RAD = 1.0
 MODEL_ERROR_AT_REST = 0.3
 """Greatest change of the slow mean while the posture stays, as a share of the budget's `contact_thresholds`: what grows
 further in a resting arm is a contact."""
-RESET_SHARE = 0.5
-"""Share of the thresholds below which a stop may be reset, so that the arm does not stop again at once."""
 
 _STEP = 0.01
 """Distance between two postures from which on the arm has moved, rad: far above the noise of encoders."""
@@ -260,10 +258,8 @@ class SafetyMonitor:
         Raises `InputError` if the arm moves or is still pushed; the stop stays.
         """
         check_rest(self._last_velocity)
-        budget = self.budget
-        # What would stop the arm again at once is no reason to let go either.
-        at_once = np.add(budget.model_error, budget.sudden_thresholds)
-        limits = np.minimum(RESET_SHARE * np.array(budget.torque_thresholds), at_once)
+        # The arm is handed over again: what refuses a start refuses a reset.
+        limits = self._handover_limits
         # Not `>`: a NaN residual is no reason to let go.
         pushed = ~(np.abs(self._last_residual) <= limits)
         if pushed.any():
@@ -307,7 +303,7 @@ class SafetyMonitor:
             # A compliant stop would let the arm sink: this model would have to carry it.
             text = (
                 f"at hand-over the external torque on {self._names[joint]} is {residual[joint]:.1f} Nm, "
-                f"permitted {self._handover_limits[joint]:g} Nm: the model's gravity or payload does not match the arm"
+                f"permitted {self._handover_limits[joint]:g} Nm: something pushes it, or the model has a wrong weight"
             )
             self.stop_distrusting(StopReason(StopCode.MODEL, text))
 
