@@ -406,7 +406,7 @@ class Stack:
             if report is not None and report.due:
                 self.controller.hear(report.verdict, self._clock_ns)
                 self.planner.hear(report)
-        if self.stop_reason and self.planner.goal is not None:
+        if self.stop_reason and self.planner.has_goal:
             self.planner.withdraw(f"the arm was stopped ({self.stop_reason})")
         return report
 
