@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from contact_reach_ros.arm import Arm, Array, JointState, link_frames
+from contact_reach_ros.arm import BLIND_AFTER, Arm, Array, JointState, link_frames
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.own_watch import BLIND_AFTER
 from contact_reach_ros.control.settings import disagreement, plan_basis
-from contact_reach_ros.errors import InputError, PlanningError, SettingsError, Verdict, requested
+from contact_reach_ros.control.supervisor import RESET_ORDER
+from contact_reach_ros.errors import InputError, PlanningError, SettingsError, requested
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import ObserverSettings
@@ -51,6 +51,9 @@ class Robot(Protocol):
 
     def obstacles(self) -> Spheres | None:
         """Present obstacles; None when there is nothing new."""
+
+    def reset(self) -> None:
+        """Release a stop of its own, if there is one; raises `InputError` if that is not possible."""
 
     def contact_forces(self) -> Array | None:
         """Contact force on each of the arm's contact links, N; None where it is unknown, as on a real robot."""
@@ -201,6 +204,8 @@ class Stack:
         self._period_ns = round(period * NANOSECONDS)
         self._clock_ns = 0
         self._steps = 0
+        self._seen_ns = 0
+        """When the observer's last new state came."""
         self._is_warm = False
         self._arrived = list(self.robot.read())
         if not self._arrived:
@@ -278,20 +283,19 @@ class Stack:
         self.controller.stop(requested(text))
 
     def reset(self) -> None:
-        """Release a stop: the arm is held where it is until the next goal.
+        """Release all stops, in `RESET_ORDER`: the arm is held where it is until the next goal.
 
         Raises
         ------
         InputError
-            If the arm still moves or is pushed, so that some more steps are needed, or if the robot itself stopped it;
-            the stop then stays in force.
+            If the arm still moves or is pushed, or its states are too old to tell, so that some more steps are needed;
+            the message says who refuses. The stop then stays in force.
         """
-        if self.robot.stop_reason:
-            raise InputError(f"the robot stopped the arm ({self.robot.stop_reason}): reset the robot first")
-        if self.observer.monitor.stop_reason:
-            self.observer.reset()
-        self.controller.hear(Verdict(), self._clock_ns)
-        self.controller.reset(self._clock_ns)
+        for name in RESET_ORDER:
+            try:
+                self._reset(name)
+            except InputError as error:
+                raise InputError(f"{name}: {error}") from error
 
     def run(
         self,
@@ -351,6 +355,16 @@ class Stack:
         state = self.planner.goal_state
         return state is not None and state.phase is GoalPhase.SETTLED
 
+    def _reset(self, name: str) -> None:
+        """Reset one of `RESET_ORDER`, if it is there."""
+        if name == "driver":
+            self.robot.reset()
+        elif name == "observer":
+            self.observer.reset((self._clock_ns - self._seen_ns) / NANOSECONDS)
+            self.controller.hear(self.observer.report().verdict, self._clock_ns)
+        elif name == "controller":
+            self.controller.reset(self._clock_ns)
+
     # The phases of a step; benchmarks that delay or drop messages override them.
 
     def _control(self) -> Array | None:
@@ -387,6 +401,8 @@ class Stack:
             except InputError as error:
                 self._refuse("observed joint states", error)
                 continue
+            if report is not None:
+                self._seen_ns = self._clock_ns
             if report is not None and report.due:
                 self.controller.hear(report.verdict, self._clock_ns)
                 self._give_up(self.planner.objection(report.contact, report.excess))
@@ -395,7 +411,7 @@ class Stack:
         return report
 
     def _give_up(self, why: str) -> None:
-        if why and self.planner.goal is not None:
+        if why and self.planner.has_goal:
             self.planner.withdraw(why)
             self.controller.withdraw()
 

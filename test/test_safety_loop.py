@@ -47,7 +47,7 @@ class SafetyLoop(RuleBasedStateMachine):
         self.model = RobotModel(ARM)
         self.random = np.random.default_rng(0)
         self.q, self.v, self.external = HOME.copy(), np.zeros(ARM.n), np.zeros(ARM.n)
-        self.now_ns = self.clock_ns = self.sent_ns = 0
+        self.now_ns = self.clock_ns = self.sent_ns = self.seen_ns = 0
         self.sent: np.ndarray | None = None
         self.heartbeats = True
         self.verdict: Verdict | None = None
@@ -150,7 +150,7 @@ class SafetyLoop(RuleBasedStateMachine):
     def reset(self, observer_too: bool) -> None:
         try:
             if observer_too:
-                self.observer.reset()
+                self.observer.reset((self.clock_ns - self.seen_ns) / SECOND_NS)
                 self.hear(self.observer.report(self.now_ns).verdict)
             self.controller.reset(self.clock_ns)
         except InputError:
@@ -202,6 +202,8 @@ class SafetyLoop(RuleBasedStateMachine):
             report = self.observer.update(state)
         except InputError:
             report = None
+        if report is not None:
+            self.seen_ns = self.clock_ns
         if report is not None and report.due and self.heartbeats:
             self.hear(report.verdict)
 

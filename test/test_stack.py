@@ -66,6 +66,9 @@ class PlainRobot:
     def obstacles(self) -> Spheres | None:
         return None
 
+    def reset(self) -> None:
+        pass
+
     def contact_forces(self) -> np.ndarray | None:
         return None
 

@@ -2,7 +2,14 @@
 
 from contact_reach_ros.arm.arm import Arm, Capsule, Inertia, Joint, Quaternion, Vector3
 from contact_reach_ros.arm.arrays import Array, checked_array
-from contact_reach_ros.arm.joint_state import REST_SPEED, JointState, check_rest, checked_torque
+from contact_reach_ros.arm.joint_state import (
+    BLIND_AFTER,
+    REST_SPEED,
+    JointState,
+    check_fresh,
+    check_rest,
+    checked_torque,
+)
 from contact_reach_ros.arm.kinematics import (
     link_frames,
     link_frames_of_many,
@@ -14,6 +21,7 @@ from contact_reach_ros.arm.kinematics import (
 )
 
 __all__ = [
+    "BLIND_AFTER",
     "REST_SPEED",
     "Arm",
     "Array",
@@ -23,6 +31,7 @@ __all__ = [
     "JointState",
     "Quaternion",
     "Vector3",
+    "check_fresh",
     "check_rest",
     "checked_array",
     "checked_torque",

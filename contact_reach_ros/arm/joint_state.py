@@ -12,6 +12,11 @@ from contact_reach_ros.errors import InputError
 
 REST_SPEED = 0.05
 """Joint speed up to which an arm is at rest, rad/s: above the noise of velocities, below what a hand does."""
+BLIND_AFTER = 0.075
+"""Time without a usable joint state after which nothing is known of the arm, s.
+
+Linux stops real-time threads for 50 ms in one piece, and the drive holds an arm that nobody commands from 20 ms on.
+"""
 
 
 class JointState(NamedTuple):
@@ -32,6 +37,15 @@ def check_rest(v: Array) -> None:
     speed = float(np.abs(v).max())
     if not speed <= REST_SPEED:
         raise InputError(f"the arm moves with {speed:.3f} rad/s; reset needs at most {REST_SPEED:g} rad/s: wait for it")
+
+
+def check_fresh(age: float) -> None:
+    """Raise `InputError` unless the last usable joint state is at most so old, s, that a reset may rely on it."""
+    if not age <= BLIND_AFTER:
+        raise InputError(
+            f"the last usable joint state is {1e3 * age:.0f} ms old; reset needs one of the last "
+            f"{1e3 * BLIND_AFTER:.0f} ms: look at the driver and the network"
+        )
 
 
 def checked_torque(torque: Array, n: int, topic: str = "effort_controller/commands") -> Array:

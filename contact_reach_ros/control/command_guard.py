@@ -8,7 +8,7 @@ from enum import Enum
 
 import numpy as np
 
-from contact_reach_ros.arm import REST_SPEED, Arm, Array, JointState, check_rest, checked_torque
+from contact_reach_ros.arm import REST_SPEED, Arm, Array, JointState, check_fresh, check_rest, checked_torque
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.adapter_settings import AdapterSettings
 from contact_reach_ros.control.constants import make_constants
@@ -166,10 +166,11 @@ class CommandGuard:
     def reset(self, clock_ns: int) -> None:
         """Release a stop: harmless torques are sent until the next command.
 
-        Raises `InputError` if the arm moves, or its joint states are silent; the stop stays.
+        Raises `InputError` if the arm moves, or its last joint state is too old to tell; the stop stays.
         """
-        if self._state is None or clock_ns - self._seen_ns > self._stop_ns:
-            raise InputError("joint_states are silent: reset needs to see the arm at rest")
+        if self._state is None:
+            raise InputError("no joint state yet: reset needs to see the arm at rest")
+        check_fresh((clock_ns - self._seen_ns) / NANOSECONDS)
         check_rest(self._state.v)
         self.stop_reason = ""
         self._harmless_ns = None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from contact_reach_ros.arm import Arm, Array, JointState
+from contact_reach_ros.arm import Arm, Array, JointState, check_fresh
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import body_of, make_constants
 from contact_reach_ros.control.follower import Follower
@@ -324,12 +324,13 @@ class Controller:
         Raises
         ------
         InputError
-            If the arm still moves or lies outside the joint limits, or the observer is silent or itself stopped; the
-            stop stays. Also where `check_ready` raises.
+            If the arm still moves, is pushed or lies outside the joint limits, if its last state is too old to tell,
+            or the observer is silent or itself stopped; the stop stays. Also where `check_ready` raises.
         """
         self.check_ready()
         assert self.state is not None
         q, v, now_ns = self.state.q, self.state.v, self.stamp_ns
+        check_fresh((clock_ns - (self._last_clock_ns or 0)) / NANOSECONDS)
         self.supervisor.check_reset(q, v, clock_ns)
         if self._watch is not None:
             self._watch.reset(clock_ns)

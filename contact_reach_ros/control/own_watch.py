@@ -14,12 +14,6 @@ from contact_reach_ros.timing import NANOSECONDS
 if TYPE_CHECKING:
     from contact_reach_ros.observer.observer import Observer
 
-BLIND_AFTER = 0.075
-"""Time without a usable state after which the watch is blind, s.
-
-Linux stops real-time threads for 50 ms in one piece, and the drive holds an arm that nobody commands from 20 ms on.
-"""
-
 
 class OwnWatch:
     """Shows states to an observer of the controller's own, and its verdicts to the supervisor.
@@ -38,6 +32,8 @@ class OwnWatch:
         """Stamp of the watcher's last new state; None before the first."""
         self._last_ns = 0
         """Stamp of the last new state."""
+        self._shown_clock_ns = 0
+        """When the watcher's last new state was shown, on the watchdogs' clock."""
         self._torque: Array | None = None
         """Mean of the torques (n,), N m, since the watcher's last state; None while there is none."""
         self._torques = 0
@@ -63,6 +59,7 @@ class OwnWatch:
         if step_ns or shown_ns is None:
             # Also when the clock was set back, and the watcher has agreed to that.
             self._shown_ns = self._last_ns = stamp_ns
+            self._shown_clock_ns = clock_ns
             self._torque, self._torques = None, 0
         if not report.due:
             return
@@ -70,20 +67,15 @@ class OwnWatch:
         if report.verdict.reason and not started:
             # Before the start there is nothing to stop: what has to be reset by hand is latched by the observer alone.
             with suppress(InputError):
-                self._watcher.reset()
+                self._watcher.reset(0.0)
 
     def reset(self, clock_ns: int) -> None:
-        """Release what the watch has latched.
+        """Release what the watch has latched, if anything.
 
-        Raises `InputError` if the arm moves or is still pushed, or the watch sees nothing.
+        Raises `InputError` if the arm moves or is still pushed, or what the watch knows of it is too old.
         """
-        if not self._watcher.report().verdict.reason:
-            return
-        self._watcher.reset()
-        verdict = self._watcher.report().verdict
-        self._supervisor.hear(OWN_WATCH, verdict, clock_ns)
-        if verdict.reason:
-            raise InputError(f"the {OWN_WATCH} is stopped ({verdict.reason})")
+        self._watcher.reset((clock_ns - self._shown_clock_ns) / NANOSECONDS)
+        self._supervisor.hear(OWN_WATCH, self._watcher.report().verdict, clock_ns)
 
     def _add(self, torque: Array | None) -> None:
         """Take one more torque (n,), N m, into the mean; one that is not known counts only while none is."""

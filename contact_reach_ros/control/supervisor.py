@@ -70,6 +70,10 @@ TRANSITIONS = {
 }
 """The state that an event leads to; an event that is not listed for a state changes nothing."""
 
+RESET_ORDER = ("driver", "adapter", "observer", "controller")
+"""Who is reset one after the other, by `Stack.reset` and `contact-reach reset`, as far as they are there: who can move
+the arm comes last, and who sees it after those that may have to open the brakes for that."""
+
 OBSERVER_TIMEOUT = 0.25
 """Silence of the observer that stops the arm, s: the controller's own watch sees the states meanwhile."""
 SPEED_TOLERANCE = 1.3

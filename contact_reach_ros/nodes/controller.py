@@ -11,8 +11,8 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
+from contact_reach_ros.arm import BLIND_AFTER
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.own_watch import BLIND_AFTER
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, SupervisionSettings, differences, disagreement
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError, StopCode, StopReason

@@ -231,7 +231,7 @@ class DriverNode(ManagedNode):
         return "brakes closed"
 
     def _answer_reset(self) -> str:
-        self.robot.drive.reset()
+        self.robot.reset()
         return "released; the brakes open after steady commands"
 
 

@@ -16,6 +16,7 @@ from contact_reach_ros.observer.observer import Observer, SafetyReport
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS, ObserverSettings, SourceSettings
 from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.process import run
+from contact_reach_ros.timing import NANOSECONDS
 
 _WRENCH_EVERY = 10
 
@@ -42,6 +43,8 @@ class ObserverNode(StoppableNode):
         self._wrench_writer = wrench_writer(self.arm.base_frame)
         # What two arms report in turns is the external torque of neither.
         self.exclude([topics.JOINT_STATES])
+        self._seen_ns = 0
+        """When the last new state came, on the watchdogs' clock."""
 
     def configure(self) -> None:
         """Warm up all computations."""
@@ -65,7 +68,7 @@ class ObserverNode(StoppableNode):
     def reset(self) -> None:
         """Release a stop. Raises `InputError` if the arm may not be released yet."""
         self.note_call(Taken.RESET)
-        self._observer.reset()
+        self._observer.reset((self.arrived_ns - self._seen_ns) / NANOSECONDS)
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Ticks, counts, and the values of the safety state."""
@@ -89,6 +92,7 @@ class ObserverNode(StoppableNode):
     def _on_state(self, data: bytes) -> None:
         report = self._observer.update(self._reader.read(data))
         if report is not None:
+            self._seen_ns = self.arrived_ns
             self._publish(report)
 
     def _publish(self, report: SafetyReport) -> None:

@@ -83,6 +83,8 @@ class PlannerNode(ManagedNode):
         """Number of goals that were taken, and the stamp of the last one."""
         self._seen_ns = 0
         """When the obstacles were sent, ns since the epoch."""
+        self._stops: dict[str, str] = {}
+        """Why the arm is stopped, by the node that stopped it."""
         self._late = self._detour = 0
         """Number of late plans, and of the detour that the arm is on; 0 for none."""
         self._solve_times = Durations()
@@ -194,6 +196,9 @@ class PlannerNode(ManagedNode):
             orientation = quaternion(pose.orientation) if kept == POSE else kept
             frame = message.header.frame_id
             goal = Goal(vector(pose.position), orientation, frame=frame)
+            for name, why in self._stops.items():
+                # The arm would move as soon as it is reset.
+                raise InputError(f"goal: {name} has stopped the arm ({why}); first: contact-reach reset")
             self._planner.command(goal)
         except InputError as error:
             self._output.report_goal(GoalState(GoalPhase.REFUSED, str(error)), stamp_ns)
@@ -220,7 +225,9 @@ class PlannerNode(ManagedNode):
             self._seen_ns = self.inbox.sent_ns
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
+        self._stops.pop(message.name, None)
         if is_stopped(message):
+            self._stops[message.name] = message.message
             self._give_up(f"{message.name} stopped the arm ({message.message})")
         elif message.name == OBSERVER:
             why = self._planner.objection(read_contact(message, self.arm), read_verdict(message, self.arm).excess)
@@ -233,7 +240,7 @@ class PlannerNode(ManagedNode):
 
     def _give_up(self, why: str) -> None:
         """Forget the goal, if there is one, with a line in the log."""
-        if self._planner.goal is not None:
+        if self._planner.has_goal:
             self.get_logger().warning(f"goal withdrawn: {why}")
             self._withdraw(why)
 

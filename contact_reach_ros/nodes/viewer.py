@@ -24,7 +24,7 @@ from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import efforts, places_of
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.resources import config_file
-from contact_reach_ros.ros.client import Client
+from contact_reach_ros.ros.client import NOTHING, Client
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.interfaces import VIEWER
 from contact_reach_ros.ros.managed_node import ManagedNode
@@ -114,7 +114,9 @@ class ViewerNode(ManagedNode):
 
     def reset(self) -> str:
         """See `Actions`."""
-        return self._client.release([name for name, status in self.live.safety.items() if status.level == ERROR]).text
+        safety = self.live.safety
+        is_stopped = any(status.level == ERROR for status in safety.values())
+        return self._client.release(safety).text if is_stopped else NOTHING
 
     def _on_state(self, data: bytes) -> None:
         stamp_ns, q, _, _ = self._states.read(data)

@@ -28,10 +28,10 @@ class MomentumObserver:
     Attributes
     ----------
     residual
-        Estimated external torque, (n,), N m; always finite.
+        Estimated external torque, (n,), N m; always finite. It starts again from zero after a pause of more than 0.1 s,
+        and while the acting torque is unknown.
     gaps
-        Steps that were too long, or backwards in time, and froze the residual; after a pause of more than 0.1 s it
-        starts again from zero.
+        Steps that were too long, or backwards in time, and froze the residual.
     refused
         States that were not finite, or so far from any real one that the residual would not be.
     known_for
@@ -83,7 +83,7 @@ class MomentumObserver:
             Joint positions (n,) rad and velocities (n,) rad/s.
         torque
             Torque that acted on the links since the last state, (n,), N m; the settings define what it includes. None
-            while it is unknown, for example with the brakes closed: the residual is kept.
+            while it is unknown, for example with the brakes closed.
         stamp_ns
             Time of the state.
         """
@@ -98,11 +98,9 @@ class MomentumObserver:
                 self.refused += 1
                 return self.residual
             self._anchor(q, momentum, stamp_ns)
-            if torque is None:
-                self.known_for, self._filtered = 0.0, None
-            elif previous is not None and elapsed_ns > PAUSE * NANOSECONDS:
+            if torque is None or (previous is not None and elapsed_ns > PAUSE * NANOSECONDS):
                 # Somebody may have moved the arm, or changed what it carries: it is handed over again.
-                self.gaps += 1
+                self.gaps += torque is not None
                 self.residual, self.known_for, self._filtered = np.zeros_like(self.residual), 0.0, None
             elif previous is not None and elapsed_ns != 0:
                 self.gaps += 1

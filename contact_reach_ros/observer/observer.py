@@ -233,14 +233,17 @@ class Observer:
         """Latch a stop for a reason outside the joint states."""
         self.monitor.stop(reason)
 
-    def reset(self) -> None:
-        """Release a stop.
+    def reset(self, silence: float) -> None:
+        """Release a stop. Where the acting torque is unknown, behind closed brakes, the hand-over decides afterwards.
+
+        `silence`: time since the last new state came, s.
 
         Raises
         ------
         InputError
-            If the arm moves or is still pushed; the stop stays.
+            If the arm moves or is still pushed, or what is known of it is too old; the stop stays.
         """
+        self.sight.check_fresh(silence)
         self.monitor.reset()
 
     def resume(self, residual: Array) -> None:

@@ -37,8 +37,6 @@ RELEASE_SHARE = 0.6
 """Share of the contact thresholds below which a contact ends: noise must not end it and begin another."""
 RELEASE_DEBOUNCE = 50
 """Time below that share that ends a contact, ms."""
-RESET_SHARE = 0.5
-"""Share of the thresholds below which a stop may be reset, so that the arm does not stop again at once."""
 
 
 class SafetyMonitor:
@@ -186,10 +184,8 @@ class SafetyMonitor:
         Raises `InputError` if the arm moves or is still pushed; the stop stays.
         """
         check_rest(self._last_velocity)
-        budget = self.budget
-        # What would stop the arm again at once is no reason to let go either.
-        at_once = np.add(budget.handover_thresholds, budget.sudden_thresholds)
-        limits = np.minimum(RESET_SHARE * np.array(budget.torque_thresholds), at_once)
+        # The arm is handed over again: what refuses a start refuses a reset.
+        limits = self._handover_limits
         # Not `>`: a NaN residual is no reason to let go.
         pushed = ~(np.abs(self._last_residual) <= limits)
         if pushed.any():
@@ -232,7 +228,7 @@ class SafetyMonitor:
             # A compliant stop would let the arm sink: this model would have to carry it.
             text = (
                 f"at hand-over the external torque on {self._names[joint]} is {residual[joint]:.1f} Nm, "
-                f"permitted {self._handover_limits[joint]:g} Nm: the model's gravity or payload does not match the arm"
+                f"permitted {self._handover_limits[joint]:g} Nm: something pushes it, or the model has a wrong weight"
             )
             self.stop_distrusting(StopReason(StopCode.MODEL, text))
 

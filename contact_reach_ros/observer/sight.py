@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from contact_reach_ros.arm import REST_SPEED, Arm, Array
-from contact_reach_ros.errors import StopCode, StopReason
+from contact_reach_ros.arm import REST_SPEED, Arm, Array, check_fresh
+from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.timing import NANOSECONDS, PAUSE
 
 STILL = 20
@@ -98,6 +98,8 @@ class Sight:
         self._limit_ns = round(max(blind_after, _PERIODS * period) * NANOSECONDS)
         self._seen_ns: int | None = None
         """Stamp of the last usable state."""
+        self._stamp_ns = 0
+        """Stamp of the last new state."""
         self._repeated = 0
         self._has_advanced = False
 
@@ -117,7 +119,7 @@ class Sight:
         known
             Whether the state came with a torque for each joint.
         """
-        self._repeated = 0
+        self._repeated, self._stamp_ns = 0, stamp_ns
         self._has_advanced = self._has_advanced or self.rate.steps > 0
         self.rate.update(stamp_ns)
         if seen:
@@ -145,6 +147,12 @@ class Sight:
             return False
         self._lose("the stamps of joint_states do not advance: look at the driver's clock")
         return True
+
+    def check_fresh(self, silence: float) -> None:
+        """Raise `InputError` unless there is a usable state of late; `silence`: time since the last new one came, s."""
+        if self.blind or self._seen_ns is None:
+            raise InputError(self.blind or self.doubt)
+        check_fresh((self._stamp_ns - self._seen_ns) / NANOSECONDS + silence)
 
     def _lose(self, why: str, code: StopCode = StopCode.BLIND) -> None:
         self.blind = self.doubt = StopReason(code, f"blind: {why}")

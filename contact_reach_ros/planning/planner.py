@@ -184,6 +184,11 @@ class Planner:
         self._progress = GoalProgress(goal)
 
     @property
+    def has_goal(self) -> bool:
+        """Whether a goal is in force, or waits for the first joint state."""
+        return self.goal is not None or self._pending is not None
+
+    @property
     def goal_state(self) -> GoalState | None:
         """What happened to the last goal that was taken; None before the first."""
         return None if self._progress is None else self._progress.state

@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from contact_reach_ros.arm import Array, JointState
+from contact_reach_ros.arm import BLIND_AFTER, Array, JointState
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.own_watch import BLIND_AFTER
 from contact_reach_ros.errors import BagError, InputError, requested
 from contact_reach_ros.messages.intake import TOPICS, Taken
 from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
@@ -114,6 +113,7 @@ class _Loop:
             self.topic = ADAPTER_COMMANDS if supervision.adapter else COMMANDS
             if supervision.shadow:
                 self.topic = SHADOW_COMMANDS
+        self.simulated = bool(inputs.settings[node].get("use_sim_time", False))
         self.is_changed = other is not None
         if other is not None:
             self.settings = changed_sections(node, inputs.settings[node], inputs.arm, other)
@@ -215,7 +215,6 @@ class _ControllerLoop(_Loop):
         self.controller.watch_with(self.watch)
         self.residuals = inputs.by_stamp(EXTERNAL_TORQUE)
         self.last_residual: Array | None = None
-        self.simulated = bool(inputs.settings["controller"].get("use_sim_time", False))
         self.recorded = inputs.by_output(self.topic)
         self.handlers = {
             Taken.ACTIVATE: lambda _: self.controller.activate(),
@@ -297,12 +296,17 @@ class _ObserverLoop(_Loop):
         self.handlers = {
             Taken.JOINT_STATES: self._update,
             Taken.STOP: self._stop,
-            Taken.RESET: lambda _: self.observer.reset(),
+            Taken.RESET: self._reset,
         }
+        self._seen_ns = 0
+        """When the last new state came, on the steady clock."""
 
     def _stop(self, _: Row) -> None:
         self.unpublished = self.next_stop()
         self.observer.stop(self.unpublished)
+
+    def _reset(self, row: Row) -> None:
+        self.observer.reset(0.0 if self.simulated else (row.clock_ns - self._seen_ns) / NANOSECONDS)
 
     def _update(self, row: Row) -> None:
         state = self.inputs.state(row.sent_ns)
@@ -313,6 +317,7 @@ class _ObserverLoop(_Loop):
             self.observer.resume(self.last_recorded)
         report = self.observer.update(state)
         if report is not None:
+            self._seen_ns = row.clock_ns
             self.last_recorded = self.recorded.get(state.stamp_ns)
             self.note_reason(report.reason)
             self.give(row, state.stamp_ns, report.residual, self.last_recorded)

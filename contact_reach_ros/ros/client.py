@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arms import arm_in, load_arm
+from contact_reach_ros.control.supervisor import RESET_ORDER
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose, to_time
@@ -47,7 +48,7 @@ _REST_S = 5.0
 """Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
 
 _NOT_READY = (topics.WAITING_FOR_STATE, topics.WAITING_FOR_OBSTACLES, topics.WAITING_FOR_CONTROLLER)
-_NOTHING = "nothing is stopped"
+NOTHING = "nothing is stopped"
 
 
 class Outcome(NamedTuple):
@@ -101,15 +102,15 @@ class Client:
             failures.append(outcome.text)
         return Outcome(False, "NOT stopped: " + "; ".join(failures))
 
-    def release(self, stopped: Collection[str]) -> Outcome:
-        """Release the stops of these nodes, the controller's last: it refuses while the observer is stopped."""
+    def release(self, names: Collection[str]) -> Outcome:
+        """Reset these nodes in `RESET_ORDER`, stopped or not: each looks whether the arm may be released."""
         answers: list[str] = []
-        for name in [name for name in reversed(STOPPABLE) if name in stopped]:
+        for name in [name for name in RESET_ORDER if name in names]:
             outcome = self.trigger(name, "reset")
-            answers.append(outcome.text)
             if not outcome.done:
-                return Outcome(False, "; ".join(answers))
-        return Outcome(True, "; ".join(answers) or _NOTHING)
+                return Outcome(False, "; ".join(["NOT reset, refused by " + outcome.text, *answers]))
+            answers.append(outcome.text)
+        return Outcome(True, "; ".join(answers))
 
     def call(
         self, service: str, kind: Any, request: Any, patience: float = _ANSWER_S, timeout: float = _ANSWER_S
@@ -242,22 +243,24 @@ class StackClient(Client):
         self.until(everybody, _FOUND_S)
 
     def release_all(self, timeout: float = _REST_S) -> Outcome:
-        """Release all stopped nodes, and look again, until none is stopped or the time, s, is over.
+        """Reset all nodes if one is stopped, and look again, until none is stopped or the time, s, is over.
 
-        Until the arm is at rest a release is refused; and a drive closes its brakes on its own some seconds after the
-        stop of the controller, perhaps just when that is being released.
+        Until the arm is at rest a reset is refused; and a drive closes its brakes on its own soon after the stop of the
+        controller, perhaps just when that is being released. A controller that stops again has found why: once the
+        brakes are open, the hand-over shows what pushes the arm.
         """
         give_up = time.monotonic() + timeout
-        answers: list[str] = []
+        outcome, was_released = Outcome(True, NOTHING), False
         while True:
             self.hear_stops()
             if not self.stops:
-                return Outcome(True, "; ".join(answers) or _NOTHING)
-            outcome = self.release(self.stops)
-            if outcome.done:
-                answers.append(outcome.text)
+                return outcome
+            if was_released and CONTROLLER in self.stops:
+                return Outcome(False, f"reset, and stopped again: {self.why_stopped}")
             if time.monotonic() > give_up:
-                return Outcome(True, "; ".join(answers)) if outcome.done else outcome
+                return Outcome(False, f"still stopped: {self.why_stopped}") if was_released else outcome
+            outcome = self.release(self.safety)
+            was_released = outcome.done
 
     def go(self, position: Array, rotation: Array | None) -> Outcome:
         """Send a goal (3,), m, (3, 3), unless the arm is stopped; returns whether it is taken.

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from contact_reach_ros.control.supervisor import RESET_ORDER
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
 
@@ -37,8 +38,8 @@ DOCTOR = "contact_reach_doctor"
 OPERATOR = "operator"
 """The node of contact-reach goto, home, identify, speed, stop and reset."""
 
-STOPPABLE = ("controller", "observer", ADAPTER, "driver")
-"""Nodes with the services ~/stop and ~/reset; a reset begins with the last one."""
+STOPPABLE = RESET_ORDER[::-1]
+"""Nodes with the services ~/stop and ~/reset."""
 
 _MANAGED_SERVICES = [
     "~/describe_parameters",

@@ -92,6 +92,11 @@ class SimulatedRobot:
         """Whether the arm has been handed over: the brakes are open, or were before a stop."""
         return self.drive.is_open
 
+    def reset(self) -> None:
+        """Release a stop of the drive, if there is one: the brakes open after steady commands."""
+        if self.drive.stop_reason:
+            self.drive.reset()
+
     def start_faults(self) -> None:
         """Count the times of the faults from now on."""
         if self.faults is not None:

@@ -136,7 +136,7 @@ def test_a_stop_is_reset_only_at_rest_and_in_sight(bench):
     with pytest.raises(InputError, match=r"0\.100 rad/s; reset needs at most 0\.05"):
         bench.guard.reset(bench.now_ns)
     bench.tick(200, states=False)
-    with pytest.raises(InputError, match="joint_states are silent"):
+    with pytest.raises(InputError, match="ms old; reset needs one of the last 75 ms"):
         bench.guard.reset(bench.now_ns)
     assert bench.guard.stop_reason == "button"
     bench.tick()

@@ -95,7 +95,6 @@ def test_a_stopped_arm_ends_in_the_brakes():
     for _ in range(150):
         stack.step()
     assert stack.robot.stop_reason.startswith("no command for ") and travel < 0.01
-    stack.robot.drive.reset()
     stack.reset()
     for _ in range(700):
         stack.step()

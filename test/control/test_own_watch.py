@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST, TICK_NS
 
-from contact_reach_ros.arm import JointState
+from contact_reach_ros.arm import BLIND_AFTER, JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.controller import WATCH_RATE, Controller, ControllerSettings
-from contact_reach_ros.control.own_watch import BLIND_AFTER
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.control.supervisor import OBSERVER_TIMEOUT, Mode
 from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict
@@ -78,7 +77,7 @@ class Watcher:
     def report(self):
         return self
 
-    def reset(self):
+    def reset(self, silence):
         if self.is_pushed:
             raise InputError("free the arm")
         self.verdict = self.verdict._replace(reason="")

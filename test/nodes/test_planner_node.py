@@ -24,7 +24,7 @@ from contact_reach_ros.messages.conversions import (
     to_time,
 )
 from contact_reach_ros.messages.obstacle_markers import obstacle_markers
-from contact_reach_ros.messages.safety_state import WARN
+from contact_reach_ros.messages.safety_state import ERROR, OK, WARN
 from contact_reach_ros.messages.serialized import joint_state_writer
 from contact_reach_ros.messages.values import quaternion, vector
 from contact_reach_ros.nodes.driver import DriverNode
@@ -147,6 +147,27 @@ def test_no_contact_and_one_that_is_none_change_nothing(leading):
         np.testing.assert_allclose(leading.report(level="free"), GOAL)
         np.testing.assert_allclose(leading.report(**TOUCHED, contact_force_xyz_N="0 x 0"), GOAL)
     assert leading.refused == {"safety states": 3}
+
+
+def test_a_stopped_arm_takes_no_goal_and_keeps_none_that_waits(planner):
+    """Otherwise a reset would move it."""
+    stopped, free = (to_status("controller", text, {}, level) for text, level in (("pushed", ERROR), ("holding", OK)))
+    send(planner, topics.OBSTACLES, MarkerArray())
+    planner._planner.state = None
+    send_goal(planner)
+    assert planner._planner.has_goal
+    for _ in range(2):
+        send(planner, topics.SAFETY_STATE, stopped)
+        assert not planner._planner.has_goal
+        planner.show(1000)
+        send_goal(planner)
+    assert not planner._planner.has_goal and planner.refused == {"goals": 2}
+    assert "controller has stopped the arm (pushed); first: contact-reach reset" in planner.boundary.last_refusals()[0]
+    send(planner, topics.SAFETY_STATE, free)
+    planner.show(1040)
+    assert not planner._planner.has_goal and not planner.asked
+    send_goal(planner)
+    assert planner._planner.has_goal
 
 
 def other_node(name, heard, published=()):

@@ -19,6 +19,7 @@ class Stack(StackClient):
 
     def hear_stops(self):
         self.stops = dict.fromkeys(next(self.looks), "stopped")
+        self.safety = dict.fromkeys(self.answers, "")
 
     def call(self, service, *_):
         name, _, _ = service.partition("/")
@@ -51,18 +52,25 @@ def test_the_controller_is_released_last_and_only_after_the_others():
     assert stack.called == ["driver/reset", "observer/reset", "controller/reset"]
     for refusing in (Stack(controller=True, observer=False), Stack(controller=True)):
         outcome = refusing.release({"controller", "observer"})
-        assert not outcome.done and "controller/reset" not in refusing.called
+        assert not outcome.done and outcome.text.startswith("NOT reset, refused by observer")
+        assert "controller/reset" not in refusing.called
 
 
 def test_brakes_that_close_while_the_controller_is_released_are_opened_too():
     stack = Stack([{"controller"}, {"driver"}, ()], controller=True, driver=True)
-    assert stack.release_all() == (True, "controller: done; driver: done")
-    assert stack.called == ["controller/reset", "driver/reset"]
+    assert stack.release_all() == (True, "driver: done; controller: done")
+    assert stack.called == 2 * ["driver/reset", "controller/reset"]
     assert Stack([()]).release_all() == (True, "nothing is stopped")
+
+
+def test_an_arm_that_stops_again_is_not_reset_again_and_again():
+    stack = Stack(itertools.repeat({"controller"}), controller=True, observer=True)
+    outcome = stack.release_all()
+    assert outcome == (False, "reset, and stopped again: controller: stopped")
+    assert stack.called == ["observer/reset", "controller/reset"]
 
 
 def test_a_refused_release_is_tried_again_until_the_time_is_over():
     stack = Stack(itertools.repeat({"controller"}), controller=False)
-    assert stack.release_all(0.01) == (False, "controller: not now")
+    assert stack.release_all(0.01) == (False, "NOT reset, refused by controller: not now")
     assert len(stack.called) > 1
-    assert Stack([{"controller"}], controller=True).release_all(0.0) == (True, "controller: done")
