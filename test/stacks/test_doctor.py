@@ -31,7 +31,7 @@ def bad_stack():
     with ros(domain=env["ROS_DOMAIN_ID"]):
         arm, *commanders = (rclpy.create_node(name) for name in ("arm", "controller", "other_commander"))
         mover = rclpy.create_node("effort_controller")
-        mover.declare_parameter("joints", list(ARM.joint_names))
+        mover.declare_parameter("joints", list(ARM.joint_names[::-1]))
         mover.declare_parameter("command_timeout", 0.0)
         arm.create_subscription(topics.COMMANDS.type, topics.COMMANDS.name, print, qos_profile(topics.NEWEST))
         states = publish(arm, topics.JOINT_STATES)
