@@ -10,9 +10,11 @@ from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.bringup.processes import BringupOptions, processes, stack_arm
 from contact_reach_ros.resources import PACKAGE, config_file
 from contact_reach_ros.ros.discovery import environment
-from contact_reach_ros.settings import parse_yaml
+from contact_reach_ros.settings import as_arguments, parse_yaml
 from launch import LaunchDescription
 
+NEVER = "1e9"
+"""Seconds after which launch would kill what holds the arm."""
 ARGUMENTS = {entry.name: entry for entry in BringupOptions.declared() if not entry.is_open_list}
 RVIZ = LaunchConfiguration("rviz")
 
@@ -29,9 +31,13 @@ def start_nodes(context):
             package=PACKAGE,
             executable=process.name,
             output="screen",
-            arguments=["--ros-args", "--enclave", process.enclave],
+            # As bring-up does: what launch makes of parameters would be for every node whose settings this one reads.
+            arguments=[
+                *("--ros-args", "--enclave", process.enclave, "--params-file", str(options.parameter_file)),
+                *as_arguments(process.parameters),
+            ],
             additional_env=hears,
-            parameters=[str(options.parameter_file), *given(process.parameters)],
+            **({"sigterm_timeout": NEVER, "sigkill_timeout": NEVER} if process.lasts else {}),
             on_exit=EmitEvent(event=Shutdown(reason=f"{process.name} ended")) if process.essential else None,
         )
         for process in processes(options)
@@ -54,13 +60,6 @@ def start_nodes(context):
         ),
     ]
     return [*stack, *rviz]
-
-
-def given(parameters):
-    """Parameters as launch takes them: lists instead of tuples, and nothing for an empty one, whose type is unknown."""
-    lists = {name: list(value) if isinstance(value, tuple) else value for name, value in parameters.items()}
-    kept = {name: value for name, value in lists.items() if value != []}
-    return [kept] if kept else []
 
 
 def generate_launch_description():

@@ -41,6 +41,13 @@ DEFINITIONS = {
             float64[7] torque""",
     },
     "controller_manager_msgs": {
+        "msg/ControllerState.msg": """
+            string name
+            string state
+            string type""",
+        "srv/ListControllers.srv": """
+            ---
+            ControllerState[] controller""",
         "srv/SwitchController.srv": """
             string[] activate_controllers
             string[] deactivate_controllers

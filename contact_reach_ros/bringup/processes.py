@@ -53,12 +53,15 @@ class Process:
         It is started when those of earlier waves are up.
     essential
         Whether its end is the end of the stack.
+    lasts
+        Whether it decides itself when it ends, as it may hold the arm.
     """
 
     name: str
     parameters: Mapping[str, ParameterValue]
     wave: Wave = Wave.LOOPS
     essential: bool = True
+    lasts: bool = False
 
     @property
     def enclave(self) -> str:
@@ -101,20 +104,21 @@ def processes(options: BringupOptions) -> list[Process]:
     time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep, **rate, **arm}
     changed = _overrides(options.overrides, stack_arm(options))
     table = []
+    adapted = options.adapter != "none"
+    if adapted:
+        # The simulated driver has no controllers of ros2_control that could be asked.
+        adapting = {**time, "kind": options.adapter, "effort.ask_joints": not options.driver}
+        table.append(Process(ADAPTER, adapting, lasts=True))
     if options.view:
         table.append(Process(VIEWER, time, wave=Wave.EARLY, essential=False))
     if options.bag:
         recording = {"bag": options.bag, **_origin(options, changed["driver"]), **time}
         table.append(Process(RECORDER, recording, wave=Wave.EARLY))
-    adapted = options.adapter != "none"
     if options.driver:
         wave = Wave.LAST if options.lockstep else Wave.LOOPS
         table.append(Process("driver", {"scene": options.scene, **time, **changed["driver"]}, wave))
     elif changed["driver"]:
         raise SettingsError(f"overrides of the driver, {', '.join(changed['driver'])}: this node is not started here")
-    if adapted:
-        # The simulated driver has no controllers of ros2_control that could be asked.
-        table.append(Process(ADAPTER, {**time, "kind": options.adapter, "effort.ask_joints": not options.driver}))
     table.append(Process(OBSERVER, {**time, **changed[OBSERVER]}))
     # The controller watches itself with the observer's.
     watch = {f"{OBSERVER}:{name}": value for name, value in changed[OBSERVER].items()}

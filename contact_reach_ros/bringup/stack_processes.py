@@ -85,7 +85,8 @@ class StackProcesses:
     ) -> None:
         self.client = client
         self._passed_on = passed_on
-        self._interrupted = False
+        self._signal: int | None = None
+        """The last signal that came."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._interrupt)
         self._table = processes(options)
@@ -107,10 +108,10 @@ class StackProcesses:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Bring the arm to rest and end all processes: planner first, recorder and viewer last."""
+        """Bring the arm to rest and end all processes: planner first, what may hold the arm last."""
         self._halt()
         for process in reversed(self._table):
-            self._end(process.name)
+            self._wait_for(process.name) if process.lasts else self._end(process.name)
             if process.name == CONTROLLER:
                 self.client.spin(_WATCHDOG_S)
         self.client.close()
@@ -189,7 +190,7 @@ class StackProcesses:
         KeyboardInterrupt
             If a signal came, at every call.
         """
-        if self._interrupted:
+        if self._signal is not None:
             raise KeyboardInterrupt
         for name, process in list(self._running.items()):
             code = process.poll()
@@ -201,8 +202,8 @@ class StackProcesses:
             print(f"{name} ended ({how}); the stack goes on without it", file=sys.stderr)
             del self._running[name]
 
-    def _interrupt(self, *_: object) -> None:
-        self._interrupted = True
+    def _interrupt(self, number: int, _: object) -> None:
+        self._signal = number
 
     def _start(self, process: Process) -> None:
         file = self.parameter_file
@@ -217,7 +218,7 @@ class StackProcesses:
             stdin=subprocess.DEVNULL,
             stdout=self._log,
             stderr=self._log,
-            # A Ctrl-C in the terminal reaches this process only, which then ends the others in order.
+            # A Ctrl-C in the terminal reaches this process only, which then ends the others in order, or passes it on.
             start_new_session=True,
             preexec_fn=end_with_parent,
         )
@@ -235,6 +236,16 @@ class StackProcesses:
             print(f"{name} did not end within {_END_TIMEOUT_S:.0f} s of SIGTERM: killed", file=sys.stderr)
             process.kill()
             process.wait()
+
+    def _wait_for(self, name: str) -> None:
+        """Ask a process that holds the arm to end, and wait until it does; it gets the signals that come meanwhile."""
+        process = self._running.pop(name, None)
+        self._signal = signal.SIGTERM
+        while process is not None and process.poll() is None:
+            number, self._signal = self._signal, None
+            if number is not None:
+                process.send_signal(number)
+            time.sleep(_POLL_S)
 
     def _see_log(self) -> str:
         """Where the output of the processes is, to be appended to a message."""

@@ -70,6 +70,7 @@ def examine(file: Path, discovery: str) -> Report:
     report["stack"] = {"nodes": stack.nodes(graph)}
     if graph.running:
         report["stack"]["safety state"] = stack.safety_state(graph)
+        report["stack"]["without commands"] = stack.commands_end(graph)
         report["topics"] = {topic.name: stack.topic(graph, topic) for topic in topics.ALL}
         try:
             settings = graph.settings.get("controller") or parameters_in(file, "controller")

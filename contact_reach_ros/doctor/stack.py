@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.srv import GetState
-from rcl_interfaces.srv import GetParameters
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -42,6 +43,8 @@ _NEEDED_TOPICS = (*ALONE, topics.SAFETY_STATE, topics.EXTERNAL_TORQUE)
 
 _EFFORT_CONTROLLER = "effort_controller"
 """Name of the ros2_control controller that takes the commands, where there is one."""
+_DRIVE_TIMEOUT_S = 0.1
+"""Recommended for a drive that has a timeout: the adapter's own time until a stop."""
 _ANYTHING = Qos(2000, reliable=False)
 """Matches every publisher."""
 _SETTLED_S = 3.5
@@ -78,6 +81,8 @@ class Graph:
         What the nodes report of their settings, by node.
     command_order
         Parameter `joints` of a ros2_control controller that takes the commands; None without one.
+    timeouts
+        Numbers among its parameters whose name has a timeout, s; None without such a controller.
     """
 
     nodes: Sequence[str] = ()
@@ -87,6 +92,7 @@ class Graph:
     safety: Sequence[tuple[str, str, bool]] = ()
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     command_order: Sequence[str] | None = None
+    timeouts: Mapping[str, float] | None = None
 
     @property
     def requires_observer(self) -> bool:
@@ -116,7 +122,7 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
     with bare_node(DOCTOR, discovery) as node:
         client = Client(node)
         time.sleep(_SETTLED_S)
-        names, states, order = _nodes(node), {}, None
+        names, states, order, timeouts = _nodes(node), {}, None, None
         for name in (name for name in MANAGED if f"/{name}" in names):
             answer = _ask(client, f"/{name}/get_state", GetState, GetState.Request())
             states[name] = answer.current_state.label if answer is not None else ""
@@ -125,6 +131,8 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
             request = GetParameters.Request(names=["joints"])
             answer = _ask(client, f"/{_EFFORT_CONTROLLER}/get_parameters", GetParameters, request)
             order = list(answer.values[0].string_array_value) if answer is not None and answer.values else None
+        if f"/{_EFFORT_CONTROLLER}" in names:
+            timeouts = _timeouts(client)
         safety: dict[str, DiagnosticStatus] = {}
         settings: dict[str, Mapping[str, Any]] = {}
         heard: list[tuple[JointState, int]] = []
@@ -146,6 +154,7 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
             [(name, status.message, read_level(status) >= ERROR) for name, status in safety.items()],
             settings,
             order,
+            timeouts,
         )
         client.close()
     return graph, heard
@@ -157,6 +166,15 @@ def _ask(client: Client, service: str, kind: Any, request: Any) -> Any:
         return client.call(service, kind, request)
     except ContactReachError:
         return None
+
+
+def _timeouts(client: Client) -> Mapping[str, float]:
+    listed = _ask(client, f"/{_EFFORT_CONTROLLER}/list_parameters", ListParameters, ListParameters.Request())
+    names = [] if listed is None else [name for name in listed.result.names if "timeout" in name]
+    request = GetParameters.Request(names=names)
+    answer = _ask(client, f"/{_EFFORT_CONTROLLER}/get_parameters", GetParameters, request) if names else None
+    pairs = zip(names, [] if answer is None else answer.values, strict=False)
+    return {name: value.double_value for name, value in pairs if value.type == ParameterType.PARAMETER_DOUBLE}
 
 
 def joint_record(heard: Heard, arm: Arm) -> JointRecord:
@@ -228,6 +246,26 @@ def safety_state(graph: Graph) -> Finding:
     unwatched = "" if graph.requires_observer else "; the controller requires no observer: the arm may move unwatched"
     fix = "start the observer, and the controller with supervision.require_observer: true"
     return graded(found + unwatched, fix, warn=bool(unwatched))
+
+
+def commands_end(graph: Graph) -> Finding:
+    """Check what the drive does without commands, as when the adapter, or a controller without one, has died."""
+    driver = graph.settings.get("driver", {})
+    if driver.get("watchdog.enabled"):
+        return Finding(Verdict.PASS, "the driver's watchdog brakes the arm")
+    if driver:
+        fix = "set watchdog.enabled: true for the driver, unless it is to behave like a drive without a watchdog"
+        return graded("the driver keeps the last torque", fix, warn=True)
+    off = [name for name, seconds in (graph.timeouts or {}).items() if not seconds > 0.0]
+    if off:
+        fix = (
+            f"see what the arm does at such a timeout, then set {off[0]}: {_DRIVE_TIMEOUT_S:g} for {_EFFORT_CONTROLLER}"
+        )
+        return graded(f"{', '.join(off)} of {_EFFORT_CONTROLLER} is off: the last torque stays", fix, warn=True)
+    if graph.timeouts:
+        own = ", ".join(f"{name} = {seconds:g} s" for name, seconds in graph.timeouts.items())
+        return Finding(Verdict.PASS, f"{_EFFORT_CONTROLLER} has {own}")
+    return Finding(Verdict.PASS, "the drive offers no timeout here; docs/adapter.md says what remains")
 
 
 def topic(graph: Graph, wanted: Topic) -> Finding:

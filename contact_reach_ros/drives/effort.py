@@ -17,13 +17,14 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialized import command_writer
 
 try:
-    from controller_manager_msgs.srv import SwitchController
+    from controller_manager_msgs.srv import ListControllers, SwitchController
 except ImportError:
-    SwitchController = None
+    ListControllers = SwitchController = None
 
 MANAGER = "controller_manager"
-"""Name of the controller manager, which deactivates the controller; remap its service if it has another."""
+"""Name of the controller manager, which deactivates the controller; remap its services if it has another."""
 PACKAGE = "controller_manager_msgs"
+_ACTIVE = "active"
 _PATIENCE_S = 2.0
 """An answer that is lost, as before the server has discovered who asks, is not waited for any longer."""
 
@@ -59,8 +60,8 @@ class RepeatedRequest:
 class EffortTarget:
     """Writes torques for `<controller>/commands` in the order of the controller's parameter `joints`.
 
-    A stop deactivates the controller, unless the arm would drop then: effort controllers that are deactivated send
-    zeros.
+    A stop deactivates the controller, unless the arm would drop then: deactivated, a JointGroupEffortController sends
+    zeros, and a ForwardCommandController leaves the last torque.
 
     Attributes
     ----------
@@ -68,24 +69,32 @@ class EffortTarget:
         Of the commands.
     order
         Names of the joints in the order of the commands; empty while it is not known.
+    idle
+        Why torques do not reach the arm, as the controller manager has answered `ask_idle`; empty if they do.
     """
 
     def __init__(self, node: Node, arm: Arm, settings: EffortSettings, carries: bool) -> None:
         """`carries`: whether the adapter's torques carry the arm."""
         self.topic = topics.COMMANDS._replace(name=f"{settings.controller}/commands")
         self.order: tuple[str, ...] = ()
+        self.idle = ""
         self._order_problem = ""
         self._node, self._arm, self._settings = node, arm, settings
         self._indices: list[int] = []
         self._writer = command_writer(arm.n)
         self._question: RepeatedRequest | None = None
         self._switch = None
+        self._list: RepeatedRequest | None = None
         if settings.ask_joints:
             parameters = node.create_client(GetParameters, f"{settings.controller}/get_parameters")
             self._question = RepeatedRequest(parameters, self._on_order)
             self._order_problem = f"the parameter joints of {settings.controller} is not known yet"
         else:
             self._take_order(arm.joint_names)
+        if ListControllers is not None:
+            self._list = RepeatedRequest(
+                node.create_client(ListControllers, f"{MANAGER}/list_controllers"), self._on_list
+            )
         if carries and not settings.brakes:
             return
         if SwitchController is None:
@@ -105,6 +114,11 @@ class EffortTarget:
         """Ask for the order of joints, unless it is known; to be called a few times a second."""
         if self._question is not None and self._order_problem:
             self._question.send(GetParameters.Request(names=["joints"]))
+
+    def ask_idle(self) -> None:
+        """Ask whether torques still reach the arm; to be called a few times a second."""
+        if self._list is not None:
+            self._list.send(ListControllers.Request())
 
     def hear(self, node: str, settings: Mapping[str, Any]) -> str:
         """Why a node's settings do not fit the drive; empty if they do."""
@@ -140,6 +154,11 @@ class EffortTarget:
             return
         self._indices = [names.index(name) for name in joints]
         self.order, self._order_problem = joints, ""
+
+    def _on_list(self, answer: Any) -> None:
+        name = self._settings.controller
+        state = {each.name: each.state for each in answer.controller}.get(name, "not loaded")
+        self.idle = "" if state == _ACTIVE else f"{name} is {state}"
 
     def _switch_controller(self, act: str) -> None:
         if self._switch is None:

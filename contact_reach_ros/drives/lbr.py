@@ -61,6 +61,8 @@ class LbrTarget:
         Names of the joints in the order of the commands.
     problem
         Why nothing can be passed on; empty when it can.
+    idle
+        Why torques do not reach the arm, and KUKA's controller brakes it; empty if they do.
     """
 
     def __init__(self, node: Node, arm: Arm, settings: LbrSettings, period: float, is_synchronous: bool) -> None:
@@ -79,6 +81,7 @@ class LbrTarget:
         self.order = arm.joint_names
         self._source = Topic(f"{settings.driver}/state", LBRState, NEWEST, "FRI states")
         self.problem = f"no state on {self._source.name} yet: start lbr_bringup, and LBRServer on the smartPAD"
+        self.idle = self.problem
         self._node, self._settings, self._arm = node, settings, arm
         self._period, self._is_synchronous = period, is_synchronous
         self._sign = 1.0 if settings.torque_sign == "positive" else -1.0
@@ -145,8 +148,9 @@ class LbrTarget:
 
     def _find_problem(self, message: Any) -> str:
         session, quality, mode = message.session_state, message.connection_quality, message.client_command_mode
-        if session != len(SESSION) - 1:
-            return f"the FRI session is {_name(SESSION, session)}; expected {SESSION[-1]}: start LBRServer"
+        self.idle = "" if session == len(SESSION) - 1 else f"the FRI session is {_name(SESSION, session)}"
+        if self.idle:
+            return f"{self.idle}; expected {SESSION[-1]}: start LBRServer"
         if quality < _GOOD:
             return f"the FRI connection is {_name(QUALITY, quality)}; expected at least GOOD"
         if mode != COMMAND_MODE.index("TORQUE"):
@@ -162,6 +166,9 @@ class LbrTarget:
 
     def look(self) -> None:
         """There is nothing to ask for."""
+
+    def ask_idle(self) -> None:
+        """Do nothing: the driver's states tell it."""
 
     def hear(self, node: str, settings: Mapping[str, Any]) -> str:
         """Why a node's settings do not fit the drive; empty if they do."""
@@ -190,6 +197,7 @@ class LbrTarget:
     def _on_switched(self, future: Any) -> None:
         logger, name = self._node.get_logger(), self._settings.component
         if future.result() is not None and future.result().ok:
+            self.idle = f"{name} is inactive"
             logger.info(f"deactivated {name}: start lbr_bringup again to continue")
         else:
             logger.error(f"the controller manager did not deactivate {name}; see its log")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Mapping
@@ -34,6 +35,9 @@ _GRAVITY = "gravity_compensation"
 _IDLE_NS = 100_000_000
 _SLEW_S, _REST_S = 0.1, 1.0
 """Shortest and longest time to bring the arm to rest before the node ends; torques change within the shortest."""
+_GONE_S = 1.0
+"""Without joint states, and without anybody who hears the torques, for this long: the drive's driver has ended."""
+_ENDING = "the adapter is asked to end"
 
 
 class AdapterNode(StoppableNode):
@@ -68,6 +72,10 @@ class AdapterNode(StoppableNode):
         self._delay = Durations()
         """From the arrival of a command to its publication."""
         self._order = StampOrder()
+        self._is_ending = self._has_told = False
+        self._states = 0
+        self._last_sign = (0, 0.0)
+        """The number of states when the drive last gave a sign of life, and when that was, s."""
         self.exclude([topics.JOINT_STATES, self._target.topic, topics.ADAPTER_COMMANDS])
 
     def configure(self) -> None:
@@ -82,6 +90,38 @@ class AdapterNode(StoppableNode):
     def deactivate(self) -> None:
         """Bring the arm to rest first: nobody would stop it afterwards."""
         self.inbox.call(self._come_to_rest)
+
+    def may_end(self, insists: bool) -> bool:
+        """Whether the arm no longer depends on the torques; from the first call on no command is passed on.
+
+        It does not once the drive reports that they do not reach it, or its driver has ended. Otherwise the drive would
+        keep the last ones: the node goes on, and says so, until the user insists.
+        """
+        if not self._is_ending:
+            self._is_ending = True
+            if self.is_engaged:
+                self.stop_once(requested(_ENDING))
+            return False
+        if not (self.running and self.is_engaged):
+            return True
+        self._target.ask_idle()
+        reason = self._target.idle or self._driver_gone() or ("the user insists" if insists else "")
+        if reason:
+            self.get_logger().info(f"lets go of the arm: {reason}")
+        elif not self._has_told:
+            self._has_told = True
+            self.get_logger().warning(
+                "asked to end, but the drive would keep the last torque: this goes on damping and holding the arm, "
+                "until the drive takes no torques or its driver ends. With the arm secured, end it by Ctrl-C once "
+                f"more, or kill -INT {os.getpid()}"
+            )
+        return bool(reason)
+
+    def _driver_gone(self) -> str:
+        now, heard = time.monotonic(), self.count_subscribers(self.resolve_topic_name(self._target.topic.name))
+        if heard or self._states != self._last_sign[0]:
+            self._last_sign = (self._states, now)
+        return "the drive's driver has ended" if now - self._last_sign[1] > _GONE_S else ""
 
     @property
     def stop_reason(self) -> str:
@@ -102,6 +142,8 @@ class AdapterNode(StoppableNode):
 
     def reset(self) -> None:
         """Pass commands on again. Raises `InputError` if the arm may not be released yet."""
+        if self._is_ending:
+            raise InputError(f"{_ENDING}: let it, and start the stack again")
         was_stopped = self._guard.stop_reason
         self._guard.reset(self.now_ns)
         if was_stopped:
@@ -127,7 +169,8 @@ class AdapterNode(StoppableNode):
 
     def _problem(self) -> str:
         """Why no command may be passed on; empty if it may."""
-        return self.rivals or self._target.problem or next(filter(None, self._disagreements.values()), "")
+        ending = _ENDING if self._is_ending else ""
+        return ending or self.rivals or self._target.problem or next(filter(None, self._disagreements.values()), "")
 
     def _make_target(self, chosen: AdapterSettings) -> EffortTarget | LbrTarget | FrankaTarget:
         settings: Any = self.settings[chosen.kind]
@@ -148,6 +191,7 @@ class AdapterNode(StoppableNode):
         self._write_state(self._state_writer.write(state.q, state.v, state.torque, stamp_ns=state.stamp_ns))
 
     def _on_state(self, data: bytes) -> None:
+        self._states += 1
         state = self._reader.read(data)
         check_state(self.arm, state.q, state.v)
         if self._order.is_new(state.stamp_ns):

@@ -122,7 +122,10 @@ MANAGED = {
         [topics.COMMANDS, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON],
         [*_PACE, topics.ADAPTER_COMMANDS, topics.SETTINGS],
         _STOP,
-        ["effort_controller/get_parameters", "controller_manager/switch_controller"],
+        [
+            "effort_controller/get_parameters",
+            *(f"controller_manager/{service}" for service in ("list_controllers", "switch_controller")),
+        ],
     ),
     RECORDER: _managed([topics.LOCKSTEP_HORIZON], topics.ALL),
     VIEWER: _managed([topics.GOAL_POSE], HEARD_BY_VIEWER, calls=_STOP_AND_RESET),
@@ -136,7 +139,12 @@ INTERFACES = {
     **MANAGED,
     "bringup": _node([], [topics.JOINT_STATES], [], [*(f"{name}/get_state" for name in MANAGED), "controller/stop"]),
     DOCTOR: _node(
-        [], topics.ALL, calls=[*(f"{name}/get_state" for name in MANAGED), "effort_controller/get_parameters"]
+        [],
+        topics.ALL,
+        calls=[
+            *(f"{name}/get_state" for name in MANAGED),
+            *(f"effort_controller/{service}" for service in ("get_parameters", "list_parameters")),
+        ],
     ),
     OPERATOR: _node(
         [topics.GOAL_POSE],

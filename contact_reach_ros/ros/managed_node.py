@@ -123,6 +123,13 @@ class ManagedNode(LifecycleNode):
             if self.running:
                 self.deactivate()
 
+    def may_end(self, insists: bool) -> bool:
+        """Whether the process may end now that a signal asks for it; the main thread asks again and again until it may.
+
+        `insists`: whether the user has asked once more, after a while.
+        """
+        return True
+
     def request_stop(self) -> None:
         """End the loop."""
         self._stop.set()

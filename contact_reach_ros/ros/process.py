@@ -26,10 +26,14 @@ from contact_reach_ros.ros.scheduling import choose_cpus, give_way, take_priorit
 
 _LOOK_S = 0.1
 """Time after which the end of a process is noticed at the latest, s."""
+_AGAIN_S = 1.0
+"""A Ctrl-C this long after the first signal insists; sooner it may be the same one, passed on by launch."""
 
 
 def run(node_class: type[ManagedNode], arguments: Sequence[str]) -> int:
-    """Run one node until SIGINT, SIGTERM or a failure of its loop; returns the exit code of the process.
+    """Run one node until a signal that it heeds, or a failure of its loop; returns the exit code of the process.
+
+    SIGINT, SIGTERM and SIGHUP ask it to end, see `ManagedNode.may_end`; a later SIGINT insists.
 
     Parameters
     ----------
@@ -113,6 +117,7 @@ def _serve(node: ManagedNode) -> int:
     An executor that had to look for signals would be awake more often than all it serves needs.
     """
     failures: list[BaseException] = []
+    asked: list[tuple[int, float]] = []
     ended, served = threading.Event(), Future()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
@@ -129,8 +134,22 @@ def _serve(node: ManagedNode) -> int:
     end_at_signals()
     if node.autostart and not _succeeds(node, node.trigger_configure):
         return 1
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
+
+    def ask(number: int, _: object) -> None:
+        if not asked:
+            # Not when the main thread looks: the arm may be moving.
+            node.may_end(insists=False)
+        asked.append((number, time.monotonic()))
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        # nohup has it ignored.
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, ask)
+
+    def may_end() -> bool:
+        first = asked[0][1]
+        return node.may_end(any(number == signal.SIGINT and at - first >= _AGAIN_S for number, at in asked))
+
     if node.autostart and not _succeeds(node, node.trigger_activate):
         return 1
     # Also the first use of the logger, which takes long.
@@ -150,7 +169,7 @@ def _serve(node: ManagedNode) -> int:
     for thread in threads:
         thread.start()
     try:
-        while not ended.is_set():
+        while not (ended.is_set() or (asked and may_end())):
             # With a limit: Linux may give the signal to another thread, and Python handles it in this one.
             time.sleep(_LOOK_S)
     finally:

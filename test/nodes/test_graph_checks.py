@@ -83,6 +83,26 @@ def test_a_latched_stop_fails_with_the_call_that_releases_it():
     assert "/observer/reset" in finding.fix and "/controller/reset" not in finding.fix
 
 
+@pytest.mark.parametrize(
+    ("changes", "verdict", "found", "fix"),
+    [
+        ({"settings": {"driver": {"watchdog.enabled": True}}}, Verdict.PASS, "brakes the arm", ""),
+        (
+            {"settings": {"driver": {"watchdog.enabled": False}}},
+            Verdict.WARN,
+            "keeps the last",
+            "watchdog.enabled: true",
+        ),
+        ({"timeouts": {"command_timeout": 0.0}}, Verdict.WARN, "command_timeout of effort", "command_timeout: 0.1"),
+        ({"timeouts": {"command_timeout": 0.2}}, Verdict.PASS, "command_timeout = 0.2 s", ""),
+        ({"timeouts": {}}, Verdict.PASS, "no timeout", ""),
+    ],
+)
+def test_a_drives_own_timeout_is_recommended_where_it_has_one(changes, verdict, found, fix):
+    finding = stack.commands_end(changed(**changes))
+    assert finding.verdict is verdict and found in finding.found and fix in finding.fix
+
+
 @pytest.mark.parametrize("topic", ALONE, ids=lambda topic: topic.name)
 def test_topics_that_must_have_one_publisher(topic):
     finding = stack.topic(with_another(topic), topic)

@@ -1,7 +1,5 @@
 """Contact, and the stop above the contact budget: debounced, latched, reset only by a free arm at rest."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST
@@ -10,7 +8,6 @@ from hypothesis import strategies as st
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError, SettingsError
-from contact_reach_ros.observer.baseline import MEAN_TIME
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.observer.safety import (
     HANDOVER_TIME,

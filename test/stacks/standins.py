@@ -8,7 +8,8 @@ import sys
 import time
 
 import numpy as np
-from controller_manager_msgs.srv import SetHardwareComponentState, SwitchController
+from controller_manager_msgs.msg import ControllerState
+from controller_manager_msgs.srv import ListControllers, SetHardwareComponentState, SwitchController
 from franka_msgs.srv import SetFullCollisionBehavior
 from lbr_fri_idl.msg import LBRState, LBRTorqueCommand
 from lifecycle_msgs.msg import State
@@ -61,6 +62,7 @@ class EffortDriver(StandIn):
         self._is_active = True
         self.create_service(GetParameters, "effort_controller/get_parameters", self._on_parameters)
         self.create_service(SwitchController, "controller_manager/switch_controller", self._on_switch)
+        self.create_service(ListControllers, "controller_manager/list_controllers", self._on_list)
 
     def read_torque(self, data):
         torque = super().read_torque(data)
@@ -69,6 +71,12 @@ class EffortDriver(StandIn):
     def _on_parameters(self, request, response):
         value = ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=self.joints)
         response.values = [value if name == "joints" else ParameterValue() for name in request.names]
+        return response
+
+    def _on_list(self, request, response):
+        state = "active" if self._is_active else "inactive"
+        response.controller = [ControllerState(name="joint_state_broadcaster", state="active")]
+        response.controller.append(ControllerState(name="effort_controller", state=state))
         return response
 
     def _on_switch(self, request, response):

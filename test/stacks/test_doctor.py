@@ -9,6 +9,7 @@ import threading
 import pytest
 import rclpy
 from arm_simulation import ARM
+from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState
 from stack_helpers import command_lines, environment, module, parameter_file, ros
 
@@ -29,15 +30,22 @@ def bad_stack():
 
     with ros(domain=env["ROS_DOMAIN_ID"]):
         arm, *commanders = (rclpy.create_node(name) for name in ("arm", "controller", "other_commander"))
+        mover = rclpy.create_node("effort_controller")
+        mover.declare_parameter("joints", list(ARM.joint_names[::-1]))
+        mover.declare_parameter("command_timeout", 0.0)
         arm.create_subscription(topics.COMMANDS.type, topics.COMMANDS.name, print, qos_profile(topics.NEWEST))
         states = publish(arm, topics.JOINT_STATES)
         commands = [publish(commander, topics.COMMANDS) for commander in commanders]
+
+        executor = SingleThreadedExecutor()
+        executor.add_node(mover)
 
         def show():
             state = JointState(name=ARM.joint_names[::-1], position=[0.0] * 7, velocity=[0.0] * 7)
             while not ended.wait(0.01):
                 state.header.stamp = arm.get_clock().now().to_msg()
                 states.publish(state)
+                executor.spin_once(0.0)
 
         thread = threading.Thread(target=show)
         thread.start()
@@ -71,6 +79,7 @@ def test_joints_in_another_order_and_a_second_commander_fail(bad_stack, tmp_path
         ("reference/pose", "fail", "", "start planner"),
         ("driver rate", "fail", "", "1000 Hz"),
         ("gravity against torque", "warn", "not compared", ""),
+        ("without commands", "warn", "command_timeout of effort_controller is off", "command_timeout: 0.1"),
         ("parameters", "fail", "did you mean 'period'", ""),
     ):
         assert found[name]["verdict"] == verdict

@@ -65,8 +65,8 @@ def test_nobody_keeps_others_from_running(stack):
 
 def test_the_doctor_passes_it(stack, tmp_path):
     result, found = examine(stack.env, tmp_path)
-    expected = ["nodes", "safety state", "discovery", "parameters", "joint names and order", "gravity against torque"]
-    expected += [topic.name for topic in topics.ALL]
+    expected = ["nodes", "safety state", "without commands", "discovery", "parameters", "joint names and order"]
+    expected += ["gravity against torque", *(topic.name for topic in topics.ALL)]
     assert {name: found[name] for name in expected if found[name]["verdict"] != "pass"} == {}
     publisher, _, subscribers = found["effort_controller/commands"]["found"].partition(" → ")
     assert publisher == "controller" and sorted(subscribers.split(", ")) == ["driver", "recorder"]
