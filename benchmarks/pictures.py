@@ -1,7 +1,8 @@
 """Pictures of benchmarks that have run, from their JSON.
 
-`python -m benchmarks.pictures clutter.json clutter.png` draws a run of clutter, setting, fig5 or solver, and `python -m
-benchmarks.pictures shipped.json hinge.json linear.json table1.png` runs of table1 with several presets.
+`python -m benchmarks.pictures clutter.json clutter.png` draws a run of clutter, setting, fig5, solver or blindness, and
+`python -m benchmarks.pictures shipped.json hinge.json linear.json table1.png` runs of table1 with several presets. The
+picture is a PNG, or an SVG if its name ends so.
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks import paper
+from benchmarks.blindness import HARM
 from benchmarks.claims import Results
 from benchmarks.output import Report, command_line, read_report, run_command
 from benchmarks.solver import LABELS, POINTS
@@ -141,6 +143,30 @@ def plot_solver(report: Report) -> Figure:
     return figure
 
 
+def plot_blindness(report: Report) -> Figure:
+    """The least forces that are noticed and that stop the arm, along it from base to tip."""
+    figure = Figure((9.0, 3.8), layout="constrained")
+    axes = figure.subplots()
+    links = report["links"]
+    for name, label, colour in (("noticed", "noticed", BLUE), ("stops", "stops the arm", VERMILION)):
+        for number, link in enumerate(links.values()):
+            bins = link["along"]
+            places = number + (np.arange(len(bins)) + 0.5) / len(bins)
+            p50, p95 = ([one[name][key] if one else np.nan for one in bins] for key in ("p50", "p95"))
+            axes.plot(places, p50, color=colour, label="" if number else f"{label}: median, up to the 95th percentile")
+            axes.fill_between(places, p50, p95, color=colour, alpha=0.2, linewidth=0.0)
+            axes.axvline(number, color=GREY, linewidth=0.5)
+    axes.axhline(HARM, color=GREY, linewidth=1.0, linestyle="--", label=f"{HARM:g} N")
+    axes.set(ylabel="contact force at rest, N", yscale="log")
+    axes.set_xlim(0.0, len(links))
+    axes.set_ylim(3.0, 3000.0)
+    axes.set_xticks(np.arange(len(links)) + 0.5, links, fontsize="small")
+    axes.tick_params(axis="x", length=0.0)
+    axes.grid(axis="y", alpha=0.3)
+    axes.legend(fontsize="small")
+    return figure
+
+
 def _published(scene: str, method: str, name: str) -> Estimate:
     """The paper's figure, with its standard deviation in place of an interval."""
     cell = paper.TABLE_1.get((scene, method))
@@ -165,7 +191,13 @@ def _bars(axes: Axes, found: Sequence[Estimate], names: Sequence[str]) -> None:
     axes.grid(axis="x", alpha=0.3)
 
 
-PICTURES = {"clutter": plot_clutter, "setting": plot_setting, "fig5": plot_fig5, "solver": plot_solver}
+PICTURES = {
+    "clutter": plot_clutter,
+    "setting": plot_setting,
+    "fig5": plot_fig5,
+    "solver": plot_solver,
+    "blindness": plot_blindness,
+}
 """Of one report, by benchmark; `plot_table1` takes several."""
 
 
@@ -185,11 +217,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """The command line."""
     parser = command_line(__doc__)
     parser.add_argument("reports", nargs="+", type=Path, metavar="JSON", help="what `--json` wrote")
-    parser.add_argument("picture", type=Path, metavar="PNG", help="to write")
+    parser.add_argument("picture", type=Path, metavar="PICTURE", help="PNG or SVG to write")
     options = parser.parse_args(arguments)
     first = read_report(options.reports[0])
     figure = draw([first, *(read_report(file, first["bench"]) for file in options.reports[1:])])
-    FigureCanvasAgg(figure).print_png(options.picture)
+    # Text stays text, and the same run is drawn to the same bytes.
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "contact_reach"}):
+        figure.savefig(options.picture, metadata={"Date": None} if options.picture.suffix == ".svg" else None)
 
 
 if __name__ == "__main__":
