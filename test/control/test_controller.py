@@ -107,10 +107,11 @@ class TestStart:
 
     def test_authority_ramps_in(self):
         bench = Bench(dataclasses.replace(UNWATCHED, impedance=ImpedanceSettings(reference_ramp=0.0)))
+        bench.tick()
         bench.plan(*[(0.002, 0.0, 0.0)] * 4)
         pulls = [np.linalg.norm(bench.tick() - GRAVITY) for _ in range(400)]
         ramp = START_RAMP
-        np.testing.assert_allclose(pulls, np.arange(400) * 1e-3 / ramp * pulls[-1] / (0.399 / ramp), atol=1e-9)
+        np.testing.assert_allclose(pulls, np.arange(1, 401) * 1e-3 / ramp * pulls[-1] / (0.4 / ramp), atol=1e-9)
 
     def test_after_an_activation_the_next_state_starts_it_again_whatever_its_stamp(self, holding):
         holding.plan(ASIDE)
@@ -126,6 +127,7 @@ class TestStart:
 
 class TestPlans:
     def test_plan_is_tracked_from_its_stamp_to_its_last_knot(self, bench):
+        bench.tick(count=10)
         bench.plan(ASIDE, (0.02, 0.0, 0.0), stamp_ns=bench.now_ns + PLAN_NS)
         seen = [(*bench.errors(1), bench.mode) for _ in range(400)]
         modes = [mode for _, mode in seen]
@@ -137,16 +139,21 @@ class TestPlans:
         np.testing.assert_allclose([error for error, _ in seen[200:300]], 0.01 + moved, atol=1e-9)
 
     def test_a_plan_takes_over_from_one_whose_knot_was_not_reached_yet(self, bench):
+        bench.tick(count=10)
         bench.plan((0.02, 0.0, 0.0))
         bench.tick(count=RAMP_TICKS // 2 + 1)
         bench.plan((0.0, 0.0, 0.0))
         np.testing.assert_allclose(bench.errors(RAMP_TICKS + 1), np.linspace(0.01, 0.0, RAMP_TICKS + 1), atol=1e-9)
 
-    def test_reference_decays_to_the_pose_at_hand_after_the_last_knot(self, bench):
-        bench.plan((0.03, 0.0, 0.0))
-        bench.tick(count=100)
-        expected = np.maximum(0.03 * (1 - np.arange(400) * 1e-3 / HOLD_BLEND), 0)
-        np.testing.assert_allclose(bench.errors(400), expected, atol=1e-9)
+    @pytest.mark.parametrize("ends", ["runs out", "is withdrawn"])
+    def test_without_one_the_arm_is_held_where_it_is_at_once(self, holding, ends):
+        holding.plan((0.03, 0.0, 0.0))
+        holding.tick(count=100 if ends == "runs out" else 60)
+        assert holding.controller.error[0] == pytest.approx(-0.03)
+        if ends == "is withdrawn":
+            holding.controller.withdraw()
+        np.testing.assert_allclose(holding.errors(50), 0.0, atol=1e-9)
+        assert holding.mode is Mode.HOLDING
 
     def test_without_one_the_arm_is_held_but_none_for_too_long_after_one_stops_it(self):
         bench = Bench(unwatched(hold_limit=0.5))
@@ -187,7 +194,7 @@ class TestBounds:
         bench.tick()
         bench.controller.follow(references_of([wanted], bench.now_ns, (duration_ns,)))
         bench.tick()
-        dropped = bench.controller.references.dropped
+        dropped = bench.controller.follower.queue.dropped
         assert (bench.mode is Mode.TRACKING) == (not dropped)
         return "; ".join(dropped)
 
@@ -277,7 +284,7 @@ class TestBehindAnAdapter:
     def test_while_commands_do_not_act_the_arm_is_held_where_it_is_found(self, bench):
         bench.plan((0.0, 0.03, 0.0))
         bench.tick()
-        assert bench.controller.references.active is None
+        assert bench.controller.follower.queue.active is None
         # Somebody guides the arm away; when commands act again, nothing pulls it back.
         elsewhere = HOME + 0.3
         bench.tick(elsewhere, count=10)
@@ -293,7 +300,7 @@ class TestBehindAnAdapter:
         bench.tick()
         bench.controller.in_force = True
         bench.tick(count=20)
-        assert bench.mode is Mode.HOLDING and bench.controller.references.active is None
+        assert bench.mode is Mode.HOLDING and bench.controller.follower.queue.active is None
 
 
 class TestVouching:

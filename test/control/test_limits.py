@@ -76,7 +76,7 @@ def null_direction(loop: ClosedLoop) -> np.ndarray:
     return direction * np.sign(direction[0])
 
 
-@pytest.mark.parametrize(("pulled", "least", "most"), [("posture", 0.3, 0.6), ("flange", 0.8, 0.95)])
+@pytest.mark.parametrize(("pulled", "least", "most"), [("posture", 0.3, 0.6), ("flange", 0.3, 0.5)])
 def test_a_joint_that_a_plan_pulls_too_fast_is_braked_and_no_stop_is_needed(pulled, least, most):
     """References stay far ahead of the posture, which the flange must not feel, or far ahead of the flange."""
     loop = ClosedLoop(ideal_plant())
