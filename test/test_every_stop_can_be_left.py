@@ -355,7 +355,7 @@ def test_a_refused_reset_says_who_refuses():
     rig.run(1.0)
     push(rig, 25.0)
     rig.run(0.1)
-    with pytest.raises(InputError, match="^observer: "):
+    with pytest.raises(InputError, match=r"^observer: "):
         rig.reset()
     push(rig, 0.0)
     rig.run(0.2)
