@@ -12,6 +12,7 @@ from stack_helpers import UNWATCHED, AtRest, Beside, hand_in, ros
 from std_msgs.msg import Float64MultiArray
 
 from contact_reach_ros.arm import JointState
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError, StopCode
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose
@@ -36,7 +37,8 @@ def moving(*parameters, rules=()):
     with ros(UNWATCHED, *parameters, more=rules):
         it = Beside(ControllerNode())
         it.supervisor = it.node._controller.supervisor
-        it.until(lambda: it.node._intake.outputs > 3, "commands", AtRest(it.node).give)
+        it.give = AtRest(it.node).give
+        it.until(lambda: it.node._intake.outputs > 3, "commands", it.give)
         assert not it.supervisor.stop_reason
         yield it
 
@@ -54,6 +56,9 @@ def test_the_controller_stops_for_a_second_publisher_and_says_who(topic):
             it.node._answer_reset()
         it.other.destroy_publisher(rival)
         it.until(lambda: not it.node._controller.not_yet, "the rival is gone")
+        with pytest.raises(InputError, match="reset needs one of the last 75 ms"):
+            it.node._answer_reset()
+        it.give()
         it.node._answer_reset()
         assert not it.supervisor.stop_reason
         del alone
@@ -125,6 +130,9 @@ def test_the_observer_stops_for_a_second_publisher_of_joint_states_and_is_not_re
             observer._answer_reset()
         it.other.destroy_publisher(publishers.pop())
         it.until(lambda: not observer.rivals, "the rival is gone")
+        with pytest.raises(InputError, match="no joint state with a torque yet"):
+            observer._answer_reset()
+        AtRest(observer).give(10, RobotModel(ARM).gravity_at(HOME))
         observer._answer_reset()
         assert not observer._observer.monitor.stop_reason
 
