@@ -19,6 +19,9 @@ FRICTION_SHARE = 0.1
 """Error of a joint's friction, as a share of the budget's `contact_thresholds`."""
 MEAN_TIME = 300
 """Time constant with which the baseline follows, ms: a contact grows faster, postures change more slowly."""
+CONTACT_MEMORY = 10
+"""How many times as slowly it follows in contact: long enough for a contact, which would otherwise never end for an arm
+that meanwhile moves to where the model's error is another one."""
 HANDOVER_MEAN = 10
 """The same while the arm is handed over, ms."""
 
@@ -82,7 +85,7 @@ class Baseline:
         self.restart(mean + self._hand_over * (torque - mean), q)
 
     def follow(self, torque: list[float], q: Array, in_contact: bool) -> None:
-        """Follow the external torque (n,), N m, at posture `q` (n,), rad; in contact it only stays within its range.
+        """Follow the external torque (n,), N m, at posture `q` (n,), rad, more slowly in contact.
 
         Torques that are not finite are ignored.
         """
@@ -92,7 +95,7 @@ class Baseline:
             self.restart(np.array(self.mean), q)
         elif math.dist(q.tolist(), self._q) > _STEP:
             self._set_range(q)
-        share = 0.0 if in_contact else self._follow
+        share = self._follow / CONTACT_MEMORY if in_contact else self._follow
         # For so few numbers comparisons of plain floats are faster than min and max, and those than NumPy.
         joints = zip(torque, self.mean, self._low, self._high, strict=True)
         followed = ((old + share * (now - old), low, high) for now, old, low, high in joints)

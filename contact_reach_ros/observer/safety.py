@@ -33,7 +33,7 @@ HANDOVER_TIME = 0.3
 HANDOVER_DEBOUNCE = 30
 """Time above a threshold at hand-over that stops the arm, ms: brakes that open let the torque jump for a
 moment."""
-RELEASE_SHARE = 0.6
+RELEASE_SHARE = 0.8
 """Share of the contact thresholds below which a contact ends: noise must not end it and begin another."""
 RELEASE_DEBOUNCE = 50
 """Time below that share that ends a contact, ms."""

@@ -100,11 +100,3 @@ def test_motion_that_changes_no_weight_explains_nothing(joint):
     for step in range(3000):
         baseline.follow([5.0] * ARM.n, HOME + 1e-3 * step * np.eye(ARM.n)[joint], False)
     assert (baseline.mean <= FRICTION_SHARE * CONTACT + (0.5 if joint == 6 else 1e-9)).all()
-
-
-def test_nothing_is_absorbed_in_contact():
-    baseline = make_baseline()
-    baseline.restart(REST, HOME)
-    for _ in range(2000):
-        baseline.follow([5.0] * ARM.n, HOME, True)
-    assert baseline.mean == [0.0] * ARM.n
