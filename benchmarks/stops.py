@@ -31,7 +31,7 @@ SPEED, TRAVEL, BRAKED = 0.02, 0.01, STOP_TIME + STOP_AFTER
 """Wanted of the fastest joint, rad/s, of the tip, m, and of the time until the drive's brakes close, s."""
 
 _HELD = 1.5
-"""Before the stop, s: the arm is handed over, and the observer's slow mean has seen what the model lacks."""
+"""Before the stop, s: the arm is handed over, and the observer's baseline has taken what the model lacks."""
 _FROM_LIMITS = 0.1
 """Least distance of a posture from the joint limits, rad."""
 _CLEARANCE = 0.02

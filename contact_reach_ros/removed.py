@@ -13,6 +13,7 @@ _CHECKOUT = "run it in a checkout of the repository: make bench NAME="
 _MEASURED_ONCE = "its results are in benchmarks/README.md"
 _MEASURED = "leave it out: it belonged to torque_source: commanded, which is gone"
 _NOT_TUNED = "leave it out; it is fixed at "
+_SPEED = "leave it out: limits.body_speed limits every point of the arm, and no joint is driven beyond 0.7 of its limit"
 
 PARAMETERS: Mapping[str, Mapping[str, str]] = {
     "driver": {
@@ -36,11 +37,11 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "limits.joint_limit_torque_share": _NOT_TUNED + "0.5",
         "limits.joint_limit_margin": _NOT_TUNED + "0.1 rad; narrow the position limits in the arm's file instead",
         "limits.joint_limit_damping": _NOT_TUNED + "10 Nm s/rad of the strongest joint",
-        "limits.null_velocity_share": _NOT_TUNED + "0.3",
-        "limits.velocity_limit_share": _NOT_TUNED + "0.9",
-        "limits.velocity_limit_rate": _NOT_TUNED + "100 1/s",
+        "limits.null_velocity_share": _SPEED,
+        "limits.velocity_limit_share": _SPEED,
+        "limits.velocity_limit_rate": _SPEED,
         "supervision.start_ramp": _NOT_TUNED + "0.5 s",
-        "supervision.hold_blend": _NOT_TUNED + "0.3 s",
+        "supervision.hold_blend": "leave it out: a hold begins at once, where the arm is",
         "supervision.max_plan_lead": _NOT_TUNED + "1 s",
         "supervision.max_plan_duration": _NOT_TUNED + "1 s",
         "supervision.watch_rate": _NOT_TUNED + "250 Hz; watch_itself: false ends the controller's own watch",
@@ -63,7 +64,7 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "safety.mean_time": _NOT_TUNED + "300 ms",
         "safety.model_error_per_rad": "leave it out: what counts as an error of the model follows from the posture",
         "safety.model_error_at_rest": _NOT_TUNED + "10 % of contact_thresholds",
-        "safety.reset_share": _NOT_TUNED + "0.5",
+        "safety.reset_share": "leave it out: a reset has the limits of a hand-over, handover_thresholds",
         "safety.reset_velocity": _NOT_TUNED + "0.05 rad/s",
         "plausibility.frozen_time": _NOT_TUNED + "30 ms",
         "plausibility.frozen_torque_time": _NOT_TUNED + "200 ms",
@@ -97,7 +98,7 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "planning.stagnation_steps": _NOT_TUNED + "3",
         "unexpected_contact.patience": _NOT_TUNED + "0.01 s",
         "unexpected_contact.least_force": _NOT_TUNED + "5 N",
-        "unexpected_contact.retreat": _NOT_TUNED + "0.05 m",
+        "unexpected_contact.retreat": "leave it out: reaction: give way, the default, lets the arm yield where it is",
         "planning.line_search_points": "leave it out: as many values of β are tried as planning.population says",
         "planning.solver": "leave it out, or pass solver to make_planner; benchmarks.solver compares them",
         "planning.null_space": "leave it out: plans move the redundant joints; the method reference_posture of the "

@@ -41,7 +41,7 @@ class Watched:
     used
         Largest share of a joint's contact threshold that its sudden external torque had for as long as a contact takes.
     mean
-        Largest slow mean, N m.
+        Largest baseline of the external torque, N m.
     """
 
     rms: Array

@@ -20,7 +20,7 @@ from contact_reach_ros.observer.settings import MomentumSettings, ObserverSettin
 
 ROOT = Path(__file__).parents[2]
 SUDDEN = ObserverSettings(momentum=MomentumSettings(gain=500.0))
-"""An observer so quick that its slow mean takes up nothing of a force that appears at once."""
+"""An observer so quick that its baseline takes up nothing of a force that appears at once."""
 BEFORE, AFTER = 0.97, 1.06
 """Shares of the least force with which nothing happens, and with which it does."""
 SPEED = 0.25
