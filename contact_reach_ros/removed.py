@@ -58,7 +58,7 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "supervision.brake_after": _NOT_TUNED + "0.3 s at rest; drive_brakes: false holds for as long as it takes",
     },
     "observer": {
-        "safety.contact_release": _NOT_TUNED + "0.6",
+        "safety.contact_release": _NOT_TUNED + "0.8",
         "safety.release_debounce": _NOT_TUNED + "50 ms",
         "safety.handover_debounce": _NOT_TUNED + "30 ms",
         "safety.mean_time": _NOT_TUNED + "300 ms",

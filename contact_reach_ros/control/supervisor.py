@@ -120,7 +120,7 @@ class Supervisor:
         self._speeding = self._hurrying = 0
         self._stop_ns: list[int] = []
         """When the stop began, and since when the arm has been at rest in it, if it is."""
-        self._yield_ns: int | None = None
+        self._yield_ns = 0
         """When the arm began to give way."""
         self._verdicts: dict[str, Verdict] = {}
         """The last ones, by who gave them."""
@@ -195,7 +195,7 @@ class Supervisor:
             touched = verdict.excess or (self.mode is Mode.HOLDING and verdict.contact)
             if touched and self.happens(Event.CONTACT):
                 self._yield_ns = clock_ns
-        elif clock_ns - (self._yield_ns or clock_ns) >= YIELD_TIME * NANOSECONDS:
+        elif clock_ns - self._yield_ns >= YIELD_TIME * NANOSECONDS:
             if verdict.contact:
                 text = f"contact of {verdict.contact} has not ended although the arm gave way for {YIELD_TIME:g} s"
                 self.stop(StopReason(StopCode.CONTACT, text))

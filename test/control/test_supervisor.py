@@ -15,6 +15,7 @@ from contact_reach_ros.control.supervisor import (
     SPEED_DEBOUNCE,
     STOP_TIME,
     TRANSITIONS,
+    YIELD_TIME,
     Event,
     Mode,
     Supervisor,
@@ -51,6 +52,45 @@ def test_events_that_do_not_belong_to_a_state_change_nothing():
     assert (supervisor.mode, supervisor.stop_reason) == (Mode.STOPPED, "first")
     assert supervisor.happens(Event.RESET)
     assert (supervisor.mode, supervisor.stop_reason) == (Mode.HOLDING, "")
+
+
+class TestContact:
+    TOUCHED, STRONG = Verdict(contact="8 N at link"), Verdict(contact="15 N at link", excess=True)
+
+    def watch(self, supervisor: Supervisor, verdict: Verdict, seconds: float) -> None:
+        supervisor.hear(OBSERVER, verdict, supervisor.now_ns)
+        supervisor.watch_contact(supervisor.now_ns)
+        supervisor.now_ns += round(seconds * 1e9)
+        supervisor.watch_contact(supervisor.now_ns)
+
+    @pytest.mark.parametrize(
+        ("is_tracking", "verdict", "mode"),
+        [
+            (False, TOUCHED, Mode.YIELDING),
+            (True, TOUCHED, Mode.TRACKING),
+            (True, STRONG, Mode.YIELDING),
+            (False, Verdict(), Mode.HOLDING),
+        ],
+    )
+    def test_the_arm_gives_way_unless_a_plan_is_in_force_and_the_force_permitted(
+        self, supervisor, is_tracking, verdict, mode
+    ):
+        supervisor.now_ns = 0
+        if is_tracking:
+            supervisor.happens(Event.PLAN)
+        self.watch(supervisor, verdict, 0.01)
+        assert supervisor.mode is mode
+        assert supervisor.is_passive == (mode is Mode.YIELDING)
+
+    def test_then_it_is_held_again_or_stopped_if_the_contact_stays(self, supervisor):
+        supervisor.now_ns = 0
+        self.watch(supervisor, self.TOUCHED, YIELD_TIME - 0.01)
+        assert supervisor.mode is Mode.YIELDING
+        self.watch(supervisor, Verdict(), 0.02)
+        assert supervisor.mode is Mode.HOLDING
+        self.watch(supervisor, self.TOUCHED, YIELD_TIME)
+        assert supervisor.mode is Mode.STOPPED
+        assert supervisor.stop_reason.startswith("contact of 8 N at link has not ended")
 
 
 class TestStop:
