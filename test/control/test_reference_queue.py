@@ -62,6 +62,20 @@ def test_halves_pair_in_any_order(order):
     assert [selected(queue, now) for now in (5, 10, 20, 30)] == [None, 10, 20, 30]
 
 
+@pytest.mark.parametrize("empty_half", ["poses", "postures"])
+def test_an_empty_half_withdraws_every_plan_that_came_before_it_and_none_that_comes_later(queue, empty_half):
+    for stamp in (0, 50):
+        offer(queue, stamp, 0)
+    assert selected(queue, 10) == 0.0
+    if empty_half == "poses":
+        queue.offer_poses(poses(0, ()), 10 * MS)
+    else:
+        queue.offer_postures(postures(0, ()), 10 * MS)
+    assert [selected(queue, now) for now in (10, 60)] == [None, None]
+    offer(queue, 70, 60, value=5.0)
+    assert selected(queue, 80) == 5.0
+
+
 def test_halves_that_stay_alone_are_dropped_and_counted(queue):
     for stamp in range(30):
         queue.offer_poses(poses(stamp), stamp * MS)

@@ -1,32 +1,48 @@
 """An obstacle that the planner is not told of, with and without the observer's word about the contact."""
 
+from typing import NamedTuple
+
 import numpy as np
 from conftest import CONTROLLER, scene, small_planner
 
-from benchmarks.baselines.method import Method
-from benchmarks.episode import EpisodeOptions, run_episode
-from benchmarks.episode_result import EpisodeResult
-from contact_reach_ros.planning.settings import UnexpectedContactSettings
+from contact_reach_ros.observer.observer import LEAST_FORCE
+from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
+from contact_reach_ros.planning.settings import GIVE_WAY, IGNORE, UnexpectedContactSettings
 from contact_reach_ros.simulation.faults import UnknownObstacle
-from contact_reach_ros.simulation.settings import WatchdogSettings
+from contact_reach_ros.simulation.robot import SimulatedRobot
+from contact_reach_ros.stack import Result, Stack
+from contact_reach_ros.world.goal import Goal
 
 
-def episode(reaction: str) -> EpisodeResult:
-    options = EpisodeOptions(
-        settle=0.6,
-        timeout=3.0,
-        faults=(UnknownObstacle((0.512, -0.075, 0.125), stiffness=500.0, at=0.2),),
-        watchdog=WatchdogSettings(),
-        unexpected_contact=UnexpectedContactSettings(reaction=reaction),
+class Run(NamedTuple):
+    """How it ended, and the force on the arm after each millisecond from the goal on, N."""
+
+    result: Result
+    goal: GoalState
+    forces: np.ndarray
+
+
+def run(reaction: str) -> Run:
+    hidden = UnknownObstacle((0.512, -0.075, 0.125), stiffness=500.0, at=0.2)
+    robot, forces = SimulatedRobot(scene("free"), faults=(hidden,)), []
+    settings = UnexpectedContactSettings(reaction=reaction)
+    stack = Stack(
+        scene("free"), controller=CONTROLLER, unexpected_contact=settings, planner=small_planner(), robot=robot
     )
-    return run_episode(scene("free"), Method(small_planner(), CONTROLLER), options)
+    stack.settle()
+    robot.start_faults()
+    result = stack.run(Goal(scene("free").target), 3.0, lambda _: forces.append(robot.contact_forces().max()))
+    return Run(result, stack.planner.goal_state, np.array(forces))
 
 
-def test_the_arm_that_retreats_touches_more_lightly_and_is_not_stopped():
-    ignored, retreated = episode("ignore"), episode("retreat")
-    assert "sudden external torque" in ignored.reasons["observer"]
-    assert not retreated.reasons
-    assert 5.0 < retreated.contact_forces.max() < 0.85 * ignored.contact_forces.max()
-    assert retreated.contact_forces[-1] == 0.0
-    # The flange waits where it went; with so small a budget of plans the elbow does not come to rest so soon.
-    assert np.ptp(retreated.distances[-500:]) < 0.001
+def test_the_arm_that_gives_way_touches_lightly_and_is_not_stopped():
+    ignored, gave_way = run(IGNORE), run(GIVE_WAY)
+    assert ignored.result.stop_reason.startswith("contact of") and "gave way" in ignored.result.stop_reason
+    assert not gave_way.result.stop_reason and gave_way.goal.phase is GoalPhase.WITHDRAWN
+    assert gave_way.goal.reason.startswith("unexpected contact of")
+    forces = gave_way.forces
+    touched = int(np.flatnonzero(forces)[0])
+    assert LEAST_FORCE < forces.max() < 0.5 * ignored.forces.max()
+    # It gives way soon, and what is left does not count: the arm then rests against the obstacle.
+    assert forces.argmax() - touched < 200
+    assert forces[touched + 700 :].max() < LEAST_FORCE

@@ -29,9 +29,12 @@ from contact_reach_ros.messages.serialized import joint_state_writer
 from contact_reach_ros.messages.values import quaternion, vector
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.planner import PlannerNode
+from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.ros import frames
 from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.scenes.generate import load_scene
+from contact_reach_ros.world.obstacle import BallSettings
+from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import rest_positions
 
 BALL, WALL = load_scene("ball"), load_scene("wall")
@@ -118,13 +121,12 @@ def leading(planner):
     planner.tick = 1000
 
     def report(**values):
-        """The observer reports contact, and the arm moves on."""
+        """The observer reports contact, and the arm moves on; returns what happened to the goal."""
         named = {name.replace("_", " "): value for name, value in values.items()}
         send(planner, topics.SAFETY_STATE, to_status("observer", "contact", named, WARN))
         planner.tick += 40
         planner.show(planner.tick)
-        back = planner._planner.reaction.position
-        return planner._planner.goal.position if back is None else back
+        return planner._planner.goal_state
 
     planner.report = report
     planner.show(1000)
@@ -132,20 +134,41 @@ def leading(planner):
 
 
 TOUCHED = {"contact_link": "lbr_link_7", "contact_position_xyz_m": " ".join(map(str, FLANGE))}
+SUDDEN = " ".join(map(str, RobotModel(ARM).jacobian_at(HOME)[:3].T @ [0.0, 12.0, 0.0]))
 
 
-def test_a_contact_that_stays_leads_the_flange_back_until_there_is_another_goal(leading):
-    np.testing.assert_allclose(leading.report(**TOUCHED, contact_force_xyz_N="0 12 0"), GOAL)
-    np.testing.assert_allclose(leading.report(**TOUCHED, contact_force_xyz_N="0 12 0"), FLANGE)
-    assert leading.diagnosis()[0] == "retreat: unexpected contact at lbr_link_7, 12 N"
+def test_an_unexpected_contact_that_stays_withdraws_the_goal_and_what_the_controller_follows(leading):
+    leading._output._poses, leading._planner.plan = Published(), PLAN
+    pushed = {**TOUCHED, "contact_force_xyz_N": "0 12 0", "sudden_torque_Nm": SUDDEN}
+    assert leading.report(**pushed).phase.is_open
+    state = leading.report(**pushed)
+    assert (state.phase, state.reason) == (GoalPhase.WITHDRAWN, "unexpected contact of 12 N at lbr_link_7")
+    (nothing,) = leading._output._poses.messages
+    assert not nothing.points and leading.diagnosis()[0] == topics.WAITING_FOR_CONTROLLER
+    asked = len(leading.asked)
+    leading.report(level="free")
+    assert len(leading.asked) == asked
     send_goal(leading)
-    np.testing.assert_allclose(leading.report(level="free"), GOAL)
+    assert leading.report(level="free").phase.is_open and len(leading.asked) == asked + 1
 
 
-def test_no_contact_and_one_that_is_none_change_nothing(leading):
+def test_contact_with_an_obstacle_that_was_seen_withdraws_nothing_up_to_the_permitted_force(leading):
+    settings = BallSettings()
+    beside = FLANGE - [0.0, ARM.capsules[-1].radius + settings.radius, 0.0]
+    seen = Scene("seen", ARM, 0, HOME, GOAL, tuple(settings.at(beside)))
+    send(leading, topics.OBSTACLES, obstacle_markers(seen, rest_positions(seen), 1000 * TICK_NS))
+    pushed = {**TOUCHED, "contact_force_xyz_N": "0 12 0", "sudden_torque_Nm": SUDDEN}
     for _ in range(3):
-        np.testing.assert_allclose(leading.report(level="free"), GOAL)
-        np.testing.assert_allclose(leading.report(**TOUCHED, contact_force_xyz_N="0 x 0"), GOAL)
+        assert leading.report(**pushed).phase.is_open
+    state = leading.report(**pushed, contact_above_permitted_force="true")
+    assert state.reason == "contact of 12 N at lbr_link_7, more than the permitted force"
+
+
+@pytest.mark.parametrize("wrong", [{"contact_force_xyz_N": "0 x 0"}, {"sudden_torque_Nm": "1 2"}])
+def test_no_contact_and_one_that_is_none_change_nothing(leading, wrong):
+    for _ in range(3):
+        assert leading.report(level="free").phase.is_open
+        assert leading.report(**{**TOUCHED, "contact_force_xyz_N": "0 12 0", **wrong}).phase.is_open
     assert leading.refused == {"safety states": 3}
 
 

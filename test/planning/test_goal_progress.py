@@ -1,16 +1,12 @@
 """What happened to a goal: from accepted to settled, or to another end."""
 
-import itertools
 import math
 
 import numpy as np
 import pytest
 from arm_simulation import TICK_NS
-from plans import StayingCore
-from test_planner import GOAL, make, report, state, touch
 
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress
-from contact_reach_ros.planning.settings import RETREAT
 from contact_reach_ros.world.goal import Goal, Target
 
 TARGET = Target(np.zeros(3), np.eye(3))
@@ -55,26 +51,3 @@ class TestProgress:
         self.follow(progress, [3000], FAR)
         assert progress.state.phase is GoalPhase.SETTLED
         assert (progress.state.elapsed, progress.state.distance) == pytest.approx((0.2, 0.1))
-
-
-class TestPlanner:
-    def phases(self, planner, first, last):
-        """Phases in their order, from the state of one tick to that of another, with a plan for each request."""
-        seen = [planner.goal_state.phase]
-        for tick in range(first, last + 1):
-            request = planner.request(state(tick))
-            seen.append(planner.goal_state.phase)
-            if request is not None:
-                planner.solve(request)
-            seen.append(planner.goal_state.phase)
-        return [phase for phase, _ in itertools.groupby(seen)]
-
-    def test_a_retreat_gives_it_up(self):
-        planner = make(StayingCore(), RETREAT)
-        planner.command(GOAL)
-        self.phases(planner, 0, 60)
-        for tick in range(61, 90):
-            planner.request(state(tick))
-            planner.hear(report(contact=touch()))
-        assert planner.goal_state.phase is GoalPhase.WITHDRAWN and "contact" in planner.goal_state.reason
-        assert planner.goal is not None, "it still leads the arm back"

@@ -11,15 +11,17 @@ from plans import StayingCore
 from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError, PlanningError
-from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.location import Contact
-from contact_reach_ros.observer.observer import Observer, SafetyReport
-from contact_reach_ros.observer.safety import SafetyLevel
-from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.planner import Planner
-from contact_reach_ros.planning.settings import RETREAT, ReplanningSettings, UnexpectedContactSettings
+from contact_reach_ros.planning.settings import (
+    GIVE_WAY,
+    IGNORE,
+    REACTIONS,
+    ReplanningSettings,
+    UnexpectedContactSettings,
+)
 from contact_reach_ros.world.goal import FREE, Goal
 from contact_reach_ros.world.rigid import Block
 from contact_reach_ros.world.spheres import Spheres
@@ -29,11 +31,10 @@ GOAL = Goal([0.5, 0.1, 0.3])
 OTHER_GOAL = Goal([0.4, -0.2, 0.4], FREE)
 BEYOND = Goal([5.0, 0.0, 0.0])
 TIP, ROTATION = RobotModel(ARM).tip_pose(HOME)
-UNTOUCHED = Observer(ARM, ObserverSettings(), ContactBudget()).report()._replace(known_for=1.0)
 
 
 def make(
-    core: StayingCore | None = None, reaction: str = RETREAT, settings: ReplanningSettings = SETTINGS, **others
+    core: StayingCore | None = None, reaction: str = GIVE_WAY, settings: ReplanningSettings = SETTINGS, **others
 ) -> Planner:
     return Planner(ARM, core, settings, UnexpectedContactSettings(reaction=reaction), **others)
 
@@ -42,13 +43,10 @@ def state(tick: int, q: np.ndarray = HOME) -> JointState:
     return JointState(tick * TICK_NS, q, REST, None)
 
 
-def report(reason: str = "", contact: Contact | None = None) -> SafetyReport:
-    level = SafetyLevel.COLLISION if reason else SafetyLevel.CONTACT if contact else SafetyLevel.FREE
-    return UNTOUCHED._replace(level=level, reason=reason, contact=contact, is_heartbeat=True)
-
-
 def touch(force: float = 10.0) -> Contact:
-    return Contact(ARM.link_names[-1], TIP - 0.02 * ROTATION[:, 2], force * ROTATION[:, 0], 0.0)
+    pushed = force * ROTATION[:, 0]
+    torque = RobotModel(ARM).jacobian_at(HOME)[:3].T @ pushed
+    return Contact(ARM.link_names[-1], TIP, pushed, 0.0, torque)
 
 
 def requests(planner: Planner, first: int, last: int) -> dict[int, Request]:
@@ -131,46 +129,51 @@ class TestGoals:
         assert planner.goal_state.phase is GoalPhase.REFUSED and "position is" in planner.goal_state.reason
         assert requests(planner, 1, 60) == {}
 
-    def test_a_stop_withdraws_the_goal_and_only_another_one_leads_to_plans(self, planner, core):
-        planner.hear(report())
-        assert planner.goal is not None
-        planner.hear(report("pushed"))
+    def test_one_that_is_withdrawn_leads_to_no_plans_and_only_another_one_does(self, planner, core):
+        planner.withdraw("pushed")
         assert planner.goal is None and core.resets == 1
-        planner.hear(report())
+        assert planner.goal_state.phase is GoalPhase.WITHDRAWN and planner.goal_state.reason == "pushed"
         assert requests(planner, 1, 100) == {}
         planner.command(OTHER_GOAL)
         assert list(requests(planner, 101, 140)) == [101, 131]
 
-    @pytest.mark.parametrize(("pause_ms", "stays"), [(1999, True), (2100, False)])
-    def test_after_a_long_one_the_arm_goes_on_only_when_asked_again(self, planner, pause_ms, stays):
-        noted = []
-        planner._refuse = lambda what, error: noted.append((what, str(error)))
-        planner.request(state(10))
-        assert planner.goal is not None
-        planner.request(state(10 + pause_ms))
-        assert (planner.goal is not None) == stays
-        assert stays or noted == [
-            ("goals", f"joint states paused for {pause_ms / 1000:.1f} s: send the goal again to go on")
-        ]
-
 
 class TestContacts:
-    def test_an_unexpected_one_leads_to_a_request_at_once(self, planner):
-        assert list(requests(planner, 1, 40)) == [30]
-        assert not planner.touched(touch())
-        assert planner.request(state(45)) is None
-        assert not planner.touched(touch())
-        assert planner.request(state(52)) is None
-        assert planner.touched(touch())
-        request = planner.request(state(53))
-        assert request is not None
-        # Back where the tip came from, and from then on as often as before.
-        np.testing.assert_allclose(request.goal.position, TIP, atol=1e-12)
-        assert list(requests(planner, 54, 100)) == [83]
+    def objections(self, planner: Planner, ticks: range, contact: Contact | None, excess: bool = False) -> list[str]:
+        made = []
+        for tick in ticks:
+            planner.request(state(tick))
+            made.append(planner.objection(contact, excess))
+        return made
 
+    def test_an_unexpected_one_is_objected_to_when_it_lasts_and_the_caller_withdraws(self, planner):
+        *early, last = self.objections(planner, range(1, 12), touch())
+        assert not any(early) and last == "unexpected contact of 10 N at lbr_link_7"
+        assert planner.goal is not None
+        # A goal given during the contact has as much time.
+        planner.command(OTHER_GOAL)
+        assert [bool(why) for why in self.objections(planner, range(12, 24), touch())] == 10 * [False] + 2 * [True]
+
+    def test_short_ones_weak_ones_and_those_without_a_goal_are_no_reason(self, planner):
+        for start in range(1, 100, 20):
+            assert not any(self.objections(planner, range(start, start + 10), touch()))
+            assert not any(self.objections(planner, range(start + 10, start + 20), None))
+        assert not any(self.objections(planner, range(100, 200), touch(4.9)))
+        planner.withdraw()
+        assert not any(self.objections(planner, range(200, 300), touch(), excess=True))
+
+    @pytest.mark.parametrize("reaction", REACTIONS)
+    def test_one_beyond_the_permitted_force_is_objected_to_at_once_whatever_the_reaction(self, core, reaction):
+        planner = make(core, reaction)
         planner.command(GOAL)
-        assert not planner.reaction.reason
-        np.testing.assert_array_equal(planner.request(state(120)).goal.position, GOAL.position)
+        planner.request(state(0))
+        expected = "contact of 14 N at lbr_link_7, more than the permitted force"
+        assert planner.objection(touch(14.0), True) == expected
+
+    def test_one_that_ignores_contact_objects_to_none_within_it(self, core):
+        planner = make(core, IGNORE)
+        planner.command(GOAL)
+        assert not any(self.objections(planner, range(100), touch()))
 
 
 class TestObstacles:
