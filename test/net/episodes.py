@@ -15,7 +15,7 @@ from contact_reach_ros.stack import Result, Tick
 SCENES = ("free", "ball", "wall", "ball_mismatch")
 SEEDS = (0, 1)
 RECORDED = Path(__file__).with_name("episodes.npz")
-"""The episodes as they were at version 0.2.0; `python test/net/episodes.py` writes this file."""
+"""The episodes as they were; `python test/net/episodes.py` writes this file."""
 STRIDE = 10
 """Ticks from one kept sample to the next."""
 TIMEOUT = 6.0

@@ -17,8 +17,6 @@ from contact_reach_ros.resources import share_directory
 
 SAMPLE = share_directory() / "bags" / "sample"
 
-old_stop = pytest.mark.xfail(reason="the sample ends with a stop of an earlier law: record it anew, see bags/README.md")
-
 
 @pytest.fixture(scope="module")
 def sample() -> RecordedInputs:
@@ -33,7 +31,6 @@ def changed(sample: RecordedInputs, **attributes: object) -> RecordedInputs:
     return made
 
 
-@old_stop
 def test_torques_and_residuals_are_identical(sample: RecordedInputs) -> None:
     for found in (reexecute("controller", sample), reexecute("observer", sample)):
         assert found.compared > 3000
@@ -54,7 +51,6 @@ def test_the_first_difference_is_named(sample: RecordedInputs) -> None:
     assert float(first.recorded) - float(first.reexecuted) == pytest.approx(1e-6, rel=1e-3)
 
 
-@old_stop
 def test_after_lost_messages_it_finds_into_step_again(tmp_path: Path) -> None:
     reader, states = BagReader(SAMPLE), 0
     with BagWriter(tmp_path / "bag", [RecordedTopic(name, topic.type) for name, topic in reader.topics.items()]) as bag:

@@ -34,7 +34,6 @@ except ImportError:
 """
 
 
-@pytest.mark.xfail(reason="the sample ends with a stop of an earlier law: record it anew, see bags/README.md")
 def test_bags_are_reexecuted_and_reported(tmp_path: Path) -> None:
     loops, plan, page = (str(tmp_path / name) for name in ("loops.json", "plan.json", "report.html"))
     commands = [
