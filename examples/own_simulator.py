@@ -43,7 +43,10 @@ for step in range(20_000):
     report = observer.update(state)
     controller.hear(report.verdict, now_ns)
     torque = controller.update(state, now_ns)
-    planner.hear(report)
+    why = planner.objection(report.contact, report.excess) or controller.stop_reason
+    if why and planner.has_goal:
+        planner.withdraw(why)
+        controller.withdraw()
     center = BALL + data.qpos[arm.n :]
     planner.see(cr.Spheres(center[None], BALL[None], [RADIUS], [STIFFNESS], [DAMPING]))
     request = planner.request(state)
@@ -53,7 +56,7 @@ for step in range(20_000):
     mujoco.mj_step(model, data)
     distance = np.linalg.norm(data.site("flange").xpos - GOAL.position)
     pressed = max(pressed, STIFFNESS * np.linalg.norm(center - BALL))
-    if distance < GOAL.tolerance or controller.stop_reason:
+    if distance < GOAL.tolerance or not planner.has_goal:
         break
-print(controller.stop_reason or f"{1000 * distance:.1f} mm from the goal after {data.time:.2f} s")
+print(planner.goal_state.reason or f"{1000 * distance:.1f} mm from the goal after {data.time:.2f} s")
 print(f"the ball's springs were loaded with {pressed:.1f} N at most")
