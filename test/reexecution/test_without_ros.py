@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import pytest
 from contact_reach_command import python
 
 from contact_reach_ros.resources import share_directory
