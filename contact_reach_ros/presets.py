@@ -10,8 +10,8 @@ from contact_reach_ros.arm import Arm
 from contact_reach_ros.arms import TOOL_PARAMETERS, arm_in, known_parameters, load_arm, make_settings
 from contact_reach_ros.bags.settings import RECORDER_SECTIONS
 from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS
-from contact_reach_ros.control.adapter_settings import ADAPTER_SECTIONS
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
+from contact_reach_ros.drives.settings import ADAPTER_SECTIONS
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS

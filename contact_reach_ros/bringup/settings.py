@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from contact_reach_ros.control.adapter_settings import FRANKA, KINDS, LBR
+from contact_reach_ros.drives.settings import FRANKA, KINDS, LBR
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import DEFAULT_PARAMETERS, Sections, Settings, setting

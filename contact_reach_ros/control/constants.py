@@ -26,7 +26,7 @@ REPULSION_DAMPING = 10.0
 """Damping of motion towards a limit, at the limit, N m s/rad, for the strongest joint; the others' are in proportion to
 their torque limits. Without it the repulsion would throw the joint back."""
 JOINT_SHARE = 0.7
-"""Joint speed beyond which the arm is not driven, as a share of the data sheet's limit, at which it is stopped."""
+"""Joint speed beyond which the arm is not driven, as a share of the data sheet's limit."""
 IMPACT_ENERGY = 0.13
 """Kinetic energy in the direction of a point's motion beyond which the arm is not driven, J: a body of 75 N/mm is hit
 with 140 N."""

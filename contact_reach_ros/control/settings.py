@@ -65,7 +65,7 @@ class LimitSettings(Settings):
     )
     tip_force: float = setting(
         60.0,
-        "force at the tip up to which law (1) drives the arm beyond its damping: what a blocked arm presses with",
+        "force with which the laws press at any point of an arm that is blocked there; in motion, beyond their damping",
         unit="N",
         minimum=1.0,
         maximum=1000.0,

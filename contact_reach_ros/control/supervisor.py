@@ -203,10 +203,10 @@ class Supervisor:
                 self.happens(Event.FREED)
 
     def watch_speed(self, share: float) -> None:
-        """Stop when a point of the arm has been too fast for some states: `share` of what is permitted there."""
+        """Stop when a joint or a point of the arm has been too fast for some states: `share` of its permitted speed."""
         self._hurrying = self._hurrying + 1 if share > SPEED_TOLERANCE else 0
         if self._hurrying >= self._debounce:
-            text = f"a point of the arm moves with {share:.2f} times the permitted speed (limits.body_speed)"
+            text = f"a joint or a point of the arm has {share:.2f} times its permitted speed (limits.body_speed)"
             self.stop(StopReason(StopCode.SPEED_LIMIT, text))
 
     def _give_up(self, why: str) -> None:

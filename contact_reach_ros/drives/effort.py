@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from contact_reach_ros.arm import Arm, Array
-from contact_reach_ros.control.adapter_settings import EffortSettings
+from contact_reach_ros.drives.settings import EffortSettings
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialized import command_writer
 

@@ -8,8 +8,8 @@ from typing import Any
 from rclpy.node import Node
 
 from contact_reach_ros.arm import Arm
-from contact_reach_ros.control.adapter_settings import FRANKA_TORQUE_RATE, FrankaSettings
 from contact_reach_ros.drives.effort import EffortTarget, RepeatedRequest
+from contact_reach_ros.drives.settings import FRANKA_TORQUE_RATE, FrankaSettings
 from contact_reach_ros.errors import SettingsError
 
 try:

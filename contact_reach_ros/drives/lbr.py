@@ -11,7 +11,7 @@ from lifecycle_msgs.msg import State
 from rclpy.node import Node
 
 from contact_reach_ros.arm import Arm, Array, JointState
-from contact_reach_ros.control.adapter_settings import LbrSettings
+from contact_reach_ros.drives.settings import LbrSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialized import encode

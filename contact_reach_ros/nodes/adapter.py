@@ -11,12 +11,12 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from contact_reach_ros.arm import JointState
-from contact_reach_ros.control.adapter_settings import ADAPTER_SECTIONS, FRANKA, LBR, AdapterSettings
-from contact_reach_ros.control.command_guard import CommandGuard, Phase
 from contact_reach_ros.control.supervisor import check_state
+from contact_reach_ros.drives.command_guard import CommandGuard, Phase
 from contact_reach_ros.drives.effort import EffortTarget
 from contact_reach_ros.drives.franka import FrankaTarget
 from contact_reach_ros.drives.lbr import LbrTarget
+from contact_reach_ros.drives.settings import ADAPTER_SECTIONS, FRANKA, LBR, AdapterSettings
 from contact_reach_ros.errors import InputError, StopCode, StopReason, requested
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_stop_state

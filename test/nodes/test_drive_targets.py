@@ -13,15 +13,15 @@ from stack_helpers import hand_in, ros
 from test_adapter import Bench
 
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.control.adapter_settings import (
+from contact_reach_ros.control.constants import torque_rates
+from contact_reach_ros.drives import effort, franka, lbr
+from contact_reach_ros.drives.settings import (
     FRANKA_TORQUE_RATE,
     AdapterSettings,
     EffortSettings,
     FrankaSettings,
     LbrSettings,
 )
-from contact_reach_ros.control.constants import torque_rates
-from contact_reach_ros.drives import effort, franka, lbr
 from contact_reach_ros.errors import SettingsError, StopCode
 from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.adapter import AdapterNode

@@ -6,12 +6,12 @@ from arm_simulation import ARM, HOME, REST, TICK_NS, TORQUE_LIMITS, UNWATCHED, i
 
 from contact_reach_ros.arm import REST_SPEED, JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.adapter_settings import AdapterSettings
-from contact_reach_ros.control.command_guard import CommandGuard, Phase
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.kernels import Constant
 from contact_reach_ros.control.references import Reference
+from contact_reach_ros.drives.command_guard import CommandGuard, Phase
+from contact_reach_ros.drives.settings import AdapterSettings
 from contact_reach_ros.errors import InputError, StopCode
 from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.settings import WatchdogSettings

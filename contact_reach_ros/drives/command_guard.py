@@ -10,9 +10,9 @@ import numpy as np
 
 from contact_reach_ros.arm import REST_SPEED, Arm, Array, JointState, check_fresh, check_rest, checked_torque
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.adapter_settings import AdapterSettings
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.passive_stop import PassiveStop
+from contact_reach_ros.drives.settings import AdapterSettings
 from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.timing import NANOSECONDS
 
