@@ -117,11 +117,10 @@ class Supervisor:
             zip(arm.joint_names, arm.lower.tolist(), arm.upper.tolist(), arm.velocity_limits.tolist(), strict=True)
         )
         self._reason = self._sequel = ""
-        self._speeding = self._hurrying = 0
-        self._stop_ns: list[int] = []
-        """When the stop began, and since when the arm has been at rest in it, if it is."""
-        self._yield_ns = 0
-        """When the arm began to give way."""
+        self._speeding = {"joints": 0, "points": 0}
+        """States in a row above a permitted speed."""
+        self._since_ns: list[int] = []
+        """When the stop or giving way began, and since when the arm has been at rest in a stop, if it is."""
         self._verdicts: dict[str, Verdict] = {}
         """The last ones, by who gave them."""
         self._heard_ns: int | None = None
@@ -133,7 +132,7 @@ class Supervisor:
         self.mode = TRANSITIONS.get((before, event), before)
         if event is Event.RESET:
             self._reason = self._sequel = ""
-            self._speeding = self._hurrying = 0
+            self._speeding = dict.fromkeys(self._speeding, 0)
             self.longest_silence = 0.0
         return self.mode is not before
 
@@ -162,7 +161,7 @@ class Supervisor:
         if not self.stopped:
             self.mode = TRANSITIONS[self.mode, Event.STOP]
             self._reason = reason
-            self._stop_ns = []
+            self._since_ns = []
 
     def watch_stop(self, v: Array, clock_ns: int) -> None:
         """End a stop in the drive's brakes, as soon as the arm rests, or else after `STOP_TIME`.
@@ -173,12 +172,12 @@ class Supervisor:
         if self.mode is not Mode.STOPPED:
             return
         speed = float(np.abs(v).max())
-        self._stop_ns = self._stop_ns or [clock_ns]
+        self._since_ns = self._since_ns or [clock_ns]
         if speed > REST_SPEED:
-            self._stop_ns = self._stop_ns[:1]
-        elif len(self._stop_ns) == 1:
-            self._stop_ns.append(clock_ns)
-        began_ns, *rested = self._stop_ns
+            self._since_ns = self._since_ns[:1]
+        elif len(self._since_ns) == 1:
+            self._since_ns.append(clock_ns)
+        began_ns, *rested = self._since_ns
         is_late = clock_ns - began_ns >= STOP_TIME * NANOSECONDS
         has_brakes = self._settings.drive_brakes
         if rested:
@@ -194,8 +193,8 @@ class Supervisor:
         if self.mode is not Mode.YIELDING:
             touched = verdict.excess or (self.mode is Mode.HOLDING and verdict.contact)
             if touched and self.happens(Event.CONTACT):
-                self._yield_ns = clock_ns
-        elif clock_ns - self._yield_ns >= YIELD_TIME * NANOSECONDS:
+                self._since_ns = [clock_ns]
+        elif clock_ns - self._since_ns[0] >= YIELD_TIME * NANOSECONDS:
             if verdict.contact:
                 text = f"contact of {verdict.contact} has not ended although the arm gave way for {YIELD_TIME:g} s"
                 self.stop(StopReason(StopCode.CONTACT, text))
@@ -204,8 +203,7 @@ class Supervisor:
 
     def watch_speed(self, share: float) -> None:
         """Stop when a joint or a point of the arm has been too fast for some states: `share` of its permitted speed."""
-        self._hurrying = self._hurrying + 1 if share > SPEED_TOLERANCE else 0
-        if self._hurrying >= self._debounce:
+        if self._lasts("points", share > SPEED_TOLERANCE):
             text = f"a joint or a point of the arm has {share:.2f} times its permitted speed (limits.body_speed)"
             self.stop(StopReason(StopCode.SPEED_LIMIT, text))
 
@@ -270,13 +268,17 @@ class Supervisor:
                 text = f"{name} at {angle:.3f} rad is beyond its position limit, {beyond:.3f} rad"
                 self.stop(StopReason(StopCode.POSITION_LIMIT, text))
             is_fast = is_fast or not -limit <= speed <= limit
-        self._speeding = self._speeding + 1 if is_fast else 0
-        if self._speeding >= self._debounce:
+        if self._lasts("joints", is_fast):
             limits = self._arm.velocity_limits
             joint = int(np.argmax(np.abs(v) / limits))
             name, speed, limit = self._arm.joint_names[joint], abs(v[joint]), limits[joint]
             text = f"{name} moves with {speed:.2f} rad/s, permitted {limit:.2f} rad/s"
             self.stop(StopReason(StopCode.SPEED_LIMIT, text))
+
+    def _lasts(self, what: str, is_fast: bool) -> bool:
+        """Whether `what` has been too fast for some states in a row."""
+        self._speeding[what] = self._speeding[what] + 1 if is_fast else 0
+        return self._speeding[what] >= self._debounce
 
     def watch_hold(self, held_for: float, had_plan: bool) -> None:
         """Stop when there has been no valid plan for too long after one; `held_for` is in s."""
