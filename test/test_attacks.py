@@ -31,18 +31,23 @@ def straight(elbow: float) -> np.ndarray:
     return np.array([0.0, 0.5 * (np.pi - bend), 0.0, -bend, 0.0, 0.5 * (np.pi - bend), 0.0])
 
 
+def slowly(*values: object) -> object:
+    """Parameters of a run that the quick suite leaves out."""
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
 class TestTheAnswerNeverPresses:
     @pytest.mark.parametrize(
         ("link", "direction", "force", "stiffness", "scale"),
         [
             (TIP, (0, 1, 0), 15.0, HAND, 1.0),
-            (TIP, (0, -1, 0), 12.0, SOFT, 0.15),
-            (TIP, (0, 0, 1), 12.0, CHEST, 1.0),
-            (TIP, (1, 0, 0), 10.0, CHEST, 1.0),
+            slowly(TIP, (0, -1, 0), 12.0, SOFT, 0.15),
+            slowly(TIP, (0, 0, 1), 12.0, CHEST, 1.0),
+            slowly(TIP, (1, 0, 0), 10.0, CHEST, 1.0),
             (WRIST, (-1, 0, 0), 10.0, SOFT, 1.0),
-            (WRIST, (0, 0, -1), 9.0, HAND, 1.0),
+            slowly(WRIST, (0, 0, -1), 9.0, HAND, 1.0),
             (ELBOW, (0, 1, 0), 15.0, CHEST, 1.0),
-            (ELBOW, (-1, 0, 0), 13.0, SOFT, 1.0),
+            slowly(ELBOW, (-1, 0, 0), 13.0, SOFT, 1.0),
         ],
     )
     def test_whatever_pushes_from_wherever(self, link, direction, force, stiffness, scale):
@@ -70,7 +75,7 @@ class TestTheAnswerNeverPresses:
         assert after <= 1.2 * before
         assert body.force <= 0.5 * before
 
-    @pytest.mark.parametrize("moves", [False, True])
+    @pytest.mark.parametrize("moves", [False, slowly(True)])
     def test_torque_sensors_that_drift_move_nothing(self, moves):
         """0.5 Nm/s on A2 and A4, with a goal and without."""
         rig = Rig()
@@ -112,14 +117,14 @@ class TestClamp:
         rig.run(1.0)
         return most, rig.force
 
-    @pytest.mark.parametrize("link", [TIP, WRIST])
+    @pytest.mark.parametrize("link", [TIP, slowly(WRIST)])
     def test_a_slow_one_ends_like_a_fast_one(self, link):
         slow, left = self.close_in(8.0, link, CHEST, 20.0)
         fast, _ = self.close_in(400.0, link, CHEST, 3.0)
         assert slow <= 1.1 * fast
         assert left <= 2.0
 
-    @pytest.mark.parametrize(("stiffness", "most"), [(HAND, 2.0), (CHEST, 2.0), (ABDOMEN, 3.5)])
+    @pytest.mark.parametrize(("stiffness", "most"), [slowly(HAND, 2.0), (CHEST, 2.0), slowly(ABDOMEN, 3.5)])
     def test_a_second_after_a_stop_it_is_hardly_pressed_and_stays_so(self, stiffness, most):
         rig = Rig(reaction="ignore")
         rig.settle()
@@ -147,9 +152,11 @@ class TestPermittedForce:
         late = forces[first + 700 :]
         return float(np.convolve(late, np.full(50, 0.02), "valid").max())
 
-    @pytest.mark.parametrize("reaction", ["give way", "ignore"])
-    @pytest.mark.parametrize("stiffness", [1e3, SOFT])
-    def test_an_unknown_body(self, stiffness, reaction):
+    @pytest.mark.parametrize(
+        ("reaction", "stiffness"),
+        [("give way", 1e3), slowly("give way", SOFT), slowly("ignore", 1e3), slowly("ignore", SOFT)],
+    )
+    def test_an_unknown_body(self, reaction, stiffness):
         rig = Rig(reaction=reaction)
         rig.settle()
         rig.stack.planner.speed_scale = 0.5
@@ -180,7 +187,7 @@ class TestPermittedForce:
 
 
 class TestLosingTheGoal:
-    @pytest.mark.parametrize(("stiffness", "scale"), [(SOFT, 0.3), (CHEST, 0.05)])
+    @pytest.mark.parametrize(("stiffness", "scale"), [(SOFT, 0.3), slowly(CHEST, 0.05)])
     def test_the_force_does_not_rise_when_a_goal_is_withdrawn(self, stiffness, scale):
         """The faster the arm, the more its momentum adds on a stiff body."""
         rig = Rig(reaction="ignore")
@@ -197,8 +204,9 @@ class TestLosingTheGoal:
 
 
 class TestCaps:
-    @pytest.mark.parametrize("lead", [0.0173, 0.049])
-    @pytest.mark.parametrize("elbow", [20.0, 30.0])
+    @pytest.mark.parametrize(
+        ("elbow", "lead"), [(30.0, 0.049), slowly(30.0, 0.0173), slowly(20.0, 0.0173), slowly(20.0, 0.049)]
+    )
     def test_the_wrist_near_the_straight_arm_hits_a_hand_with_no_more_than_140_n(self, elbow, lead):
         """Elbow nearly straight, the wrist moves outwards: hardly any torque shows it, and all mass is behind it."""
         rig = Rig(straight(elbow), Ahead(lead))
@@ -211,7 +219,7 @@ class TestCaps:
         assert 5.0 < max(rig.forces) <= 140.0
         assert rig.force <= 5.0
 
-    @pytest.mark.parametrize("seed", [3, 4])
+    @pytest.mark.parametrize("seed", [3, slowly(4)])
     def test_references_that_jump_about_stay_within_the_caps_or_end_in_a_stop(self, seed):
         random, core = np.random.default_rng(seed), Ahead()
 
