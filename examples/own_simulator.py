@@ -16,10 +16,8 @@ GOAL = cr.Goal([0.5, 0.25, 0.35])
 BALL, RADIUS, STIFFNESS, DAMPING = np.array([0.36, 0.27, 0.48]), 0.1, 100.0, 30.0  # m, m, N/m, N s/m
 
 # A ball on springs. Bits 1 and 2 of the contact types are the arm's and the obstacles'.
-slides = "".join(
-    f'<joint type="slide" axis="{axis}" stiffness="{STIFFNESS}" damping="{DAMPING}"/>'
-    for axis in ("1 0 0", "0 1 0", "0 0 1")
-)
+axes = ("1 0 0", "0 1 0", "0 0 1")
+slides = "".join(f'<joint type="slide" axis="{each}" stiffness="{STIFFNESS}" damping="{DAMPING}"/>' for each in axes)
 ball = ElementTree.fromstring(
     f'<body name="ball" pos="{BALL[0]} {BALL[1]} {BALL[2]}" gravcomp="1">{slides}'
     f'<geom type="sphere" size="{RADIUS}" mass="0.1" contype="2" conaffinity="1" solref="-1000 -20"/></body>'
@@ -43,8 +41,7 @@ for step in range(20_000):
     report = observer.update(state)
     controller.hear(report.verdict, now_ns)
     torque = controller.update(state, now_ns)
-    why = planner.objection(report.contact, report.excess) or controller.stop_reason
-    if why and planner.has_goal:
+    if why := planner.objection(report.contact, report.excess) or controller.stop_reason:
         planner.withdraw(why)
         controller.withdraw()
     center = BALL + data.qpos[arm.n :]

@@ -38,7 +38,7 @@ def test_arm_is_held_then_follows_a_plan_and_comes_to_rest_when_none_follows(arm
     at_expiry = loop.reference().position
     assert np.abs(loop.v).max() > 0.05
     for _ in loop.run(1.0):
-        assert np.abs(loop.torques[-1] - loop.controller.model.gravity).max() < 30.0
+        assert np.abs(loop.torques[-1] - loop.controller.model.gravity).max() < 60.0
     assert loop.controller.mode is Mode.HOLDING
     assert np.abs(loop.v).max() < 0.01
     assert np.linalg.norm(loop.reference().position - at_expiry) < 1e-3

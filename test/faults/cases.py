@@ -179,7 +179,7 @@ CASES = (
     Case([Friction(3.0, at=0.5)], REACHED),
     Case([Friction(14.0, at=0.5)], STILL, planner="small"),
     Case([Friction(50.0, at=0.5)], STILL, "observer: sudden external torque"),
-    Case([_in_the_way()], STILL, _TORQUE, force=140.0, rate=500),
+    Case([_in_the_way()], STILL, force=140.0, rate=500),
     Case([_in_the_way(50000.0)], STILL, _TORQUE),
     Case([Push("lbr_link_4", (0.0, 30.0, 0.0), at=0.5, duration=0.1)], REACHED),
     Case([Push("lbr_link_4", (0.0, 200.0, 0.0), at=0.5, duration=0.1)], STILL, _TORQUE, planner="small"),

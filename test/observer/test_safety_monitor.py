@@ -134,7 +134,7 @@ class TestContact:
 
     def test_contact_ends_only_well_below_the_threshold_and_after_a_while(self, monitor):
         push(monitor, 1.5 * self.thresholds, 5)
-        push(monitor, 0.8 * self.thresholds, 2 * RELEASE_DEBOUNCE)
+        push(monitor, 0.9 * self.thresholds, 2 * RELEASE_DEBOUNCE)
         assert monitor.in_contact
         push(monitor, REST, RELEASE_DEBOUNCE - 1)
         assert monitor.in_contact
