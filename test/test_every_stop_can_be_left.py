@@ -307,8 +307,15 @@ STALE: dict[str, Callable[[JointState], JointState | None]] = {
 }
 
 
-@pytest.mark.parametrize("has_adapter", [False, True], ids=["direct", "adapter"])
-@pytest.mark.parametrize("has_brakes", [True, False], ids=["brakes", "no brakes"])
+@pytest.mark.parametrize(
+    ("has_brakes", "has_adapter"),
+    [
+        pytest.param(True, False, id="brakes"),
+        pytest.param(False, True, id="adapter"),
+        pytest.param(True, True, id="brakes and adapter", marks=pytest.mark.slow),
+        pytest.param(False, False, id="neither", marks=pytest.mark.slow),
+    ],
+)
 def test_no_reset_is_accepted_on_stale_evidence(has_brakes, has_adapter):
     """Neither by all nodes in their order nor by the controller alone, whatever stopped the arm, pushed or not."""
     held = Rig(has_brakes, has_adapter)
