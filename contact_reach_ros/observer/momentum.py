@@ -14,8 +14,6 @@ from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS, PAUSE
 
 _IDENTITY = np.eye(6)
 
-_LONGEST_STEP = 0.01
-"""Longest step that is never a gap, s: a busy machine passes states on in heaps."""
 _IMPLAUSIBLE = 1e5
 """Implausible values, Nm and Nms: a hundred times what the strongest joint could do."""
 
@@ -45,7 +43,7 @@ class MomentumObserver:
     """
 
     def __init__(self, settings: MomentumSettings, model: RobotModel, period: float = 0.001) -> None:
-        """`period`: nominal time between states, s; steps of more than three, and 10 ms, are gaps."""
+        """`period`: nominal time between states, s; steps of more than three are gaps."""
         settings = settings.resolve(model.arm)
         self.settings = settings
         self.residual = np.zeros(model.arm.n)
@@ -58,7 +56,7 @@ class MomentumObserver:
         self._coulomb = np.array(settings.coulomb_friction) if any(settings.coulomb_friction) else None
         self._offset = np.array(settings.torque_offset) if any(settings.torque_offset) else None
         self._rotors = None if settings.rotors_in_torque else model.pinocchio.armature.copy()
-        self._max_gap_ns = round(max(GAP_PERIODS * period, _LONGEST_STEP) * NANOSECONDS)
+        self._max_gap_ns = GAP_PERIODS * round(period * NANOSECONDS)
         self._cutoff = 2.0 * math.pi * settings.torque_cutoff
         self._filtered: Array | None = None
         """Δp/Δt − u without the acting torque, behind the drive's low-pass; None before the first step, or without."""
