@@ -56,9 +56,10 @@ def test_beside_a_stack_nothing_is_started(tmp_path):
     with running(module("nodes.observer"), env, tmp_path / "observer.txt"):
         for command in ([*module("cli"), "demo"], module("bringup.bringup")):
             result = subprocess.run(command, env=env, cwd=tmp_path, capture_output=True, text=True, timeout=60)
-            assert result.returncode == 2
-            assert f"already running in ROS domain {domain}: /observer" in result.stderr
-            assert "export ROS_DOMAIN_ID=" in result.stderr
+            # 2 by the command itself; 1 where it is only bring-up that has discovered the node by then.
+            assert result.returncode in (1, 2)
+            assert f"already running in ROS domain {domain}: /observer" in result.stdout + result.stderr
+            assert "export ROS_DOMAIN_ID=" in result.stdout + result.stderr
             assert "summary" not in result.stdout + result.stderr
     assert os.listdir(tmp_path) == ["observer.txt"]
 
