@@ -405,7 +405,7 @@ class Stack:
                 self._seen_ns = self._clock_ns
             if report is not None and report.due:
                 self.controller.hear(report.verdict, self._clock_ns)
-                self._give_up(self.planner.objection(report.contact, report.excess))
+                self._give_up(self.planner.objection(report.contact))
         if self.stop_reason:
             self._give_up(f"the arm was stopped ({self.stop_reason})")
         return report

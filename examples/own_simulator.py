@@ -41,7 +41,7 @@ for step in range(20_000):
     report = observer.update(state)
     controller.hear(report.verdict, now_ns)
     torque = controller.update(state, now_ns)
-    if why := planner.objection(report.contact, report.excess) or controller.stop_reason:
+    if why := planner.objection(report.contact) or controller.stop_reason:
         planner.withdraw(why)
         controller.withdraw()
     center = BALL + data.qpos[arm.n :]

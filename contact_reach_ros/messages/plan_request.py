@@ -48,7 +48,6 @@ def request_parts(number: int, request: Request, memory: Memory | None, found: A
         "v": request.v,
         "goal": _goal_numbers(request.goal),
         "speed scale": np.array([request.speed_scale]),
-        "detours": np.array([request.detours]),
         "found": found,
     }
     if memory is not None:
@@ -66,8 +65,8 @@ def request_parts(number: int, request: Request, memory: Memory | None, found: A
 
 def read_request(parts: Parts, state_ns: int, effect_ns: int) -> Request:
     """The request for a state and an effect at these times, ns, without obstacles."""
-    goal, scale, detours = _goal(parts["goal"]), float(parts["speed scale"][0]), bool(parts["detours"][0])
-    return Request(parts["q"], parts["v"], state_ns, effect_ns, goal, Spheres.none(), scale, detours)
+    goal, scale = _goal(parts["goal"]), float(parts["speed scale"][0])
+    return Request(parts["q"], parts["v"], state_ns, effect_ns, goal, Spheres.none(), scale)
 
 
 def read_memory(parts: Parts, request: Request, knot_duration_s: float, ramp_s: float) -> Memory | None:

@@ -56,8 +56,8 @@ def findings(report: SafetyReport) -> dict[str, str]:
         values[_FORCE] = " ".join(f"{value:.1f}" for value in contact.force.tolist())
         values[_POSITION] = " ".join(f"{value:.3f}" for value in contact.position.tolist())
         values[_SUDDEN] = " ".join(f"{value:.2f}" for value in contact.torque.tolist())
-    if report.excess:
-        values[_EXCESS] = "true"
+        if contact.is_excessive:
+            values[_EXCESS] = "true"
     return values
 
 
@@ -123,4 +123,4 @@ def read_contact(message: Any, arm: Arm) -> Contact | None:
             f"safety_state: {_LINK} = {values[_LINK]} at {position} with {force}: expected finite numbers and one of "
             f"{', '.join(arm.contact_links)}"
         )
-    return Contact(values[_LINK], position, force, float("nan"), torque)
+    return Contact(values[_LINK], position, force, float("nan"), torque, _EXCESS in values)

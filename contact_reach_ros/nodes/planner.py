@@ -22,7 +22,7 @@ from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError, SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
-from contact_reach_ros.messages.safety_state import is_stopped, read_contact, read_verdict
+from contact_reach_ros.messages.safety_state import is_stopped, read_contact
 from contact_reach_ros.messages.serialized import JointStateReader, decode
 from contact_reach_ros.messages.values import goal_values, nanoseconds, quaternion, vector
 from contact_reach_ros.nodes.planner_output import PlannerOutput
@@ -230,7 +230,7 @@ class PlannerNode(ManagedNode):
             self._stops[message.name] = message.message
             self._give_up(f"{message.name} stopped the arm ({message.message})")
         elif message.name == OBSERVER:
-            why = self._planner.objection(read_contact(message, self.arm), read_verdict(message, self.arm).excess)
+            why = self._planner.objection(read_contact(message, self.arm))
             if why:
                 self._give_up(why)
 

@@ -43,6 +43,8 @@ class Contact:
         Unexplained rest: root of the sum of squares, in units of the contact thresholds.
     torque
         Sudden external torque (n,), N m, that the force is fitted to.
+    is_excessive
+        Whether it has exceeded the permitted force for too long.
     """
 
     link: str
@@ -50,6 +52,7 @@ class Contact:
     force: Array
     misfit: float
     torque: Array
+    is_excessive: bool = False
 
     def rounded(self) -> Contact:
         """The same contact to 1 mm, 0.1 N and 0.01 N m, as messages carry it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import NamedTuple
 
@@ -51,8 +52,6 @@ class SafetyReport(NamedTuple):
         Time for which the acting torque has been known, s; 0 while it is not.
     contact
         Where the arm is touched, rounded to 1 mm and 0.1 N; None without a located contact.
-    excess
-        Whether that contact has exceeded the permitted force by `EXCESS_FORCE` for `EXCESS_TIME`.
     has_news
         Whether level, reason, distrust or doubt have changed.
     is_heartbeat
@@ -68,16 +67,16 @@ class SafetyReport(NamedTuple):
     age: float
     known_for: float
     contact: Contact | None
-    excess: bool
     has_news: bool
     is_heartbeat: bool
 
     @property
     def verdict(self) -> Verdict:
         """What the controller has to know."""
-        return Verdict(
-            self.reason, self.distrust, self.doubt, self.known_for > 0.0, describe_contact(self.contact), self.excess
-        )
+        contact = self.contact
+        is_excessive = contact is not None and contact.is_excessive
+        known = self.known_for > 0.0
+        return Verdict(self.reason, self.distrust, self.doubt, known, describe_contact(contact), is_excessive)
 
     @property
     def due(self) -> bool:
@@ -183,9 +182,13 @@ class Observer:
         self.updates += 1
         is_heartbeat = self.updates % self._heartbeat_every == 0
         if is_heartbeat:
-            self.contact = self.locate(q) if self._locates and monitor.in_contact else None
-            is_strong = self.contact is not None and self.contact.strength > self._permitted
-            self._excess = self._excess + self._heartbeat_every if is_strong else 0
+            contact = self.locate(q) if self._locates and monitor.in_contact else None
+            if contact is None or contact.strength <= self._permitted:
+                self._excess = 0
+            else:
+                self._excess += self._heartbeat_every
+                contact = dataclasses.replace(contact, is_excessive=self._excess >= self._excess_limit)
+            self.contact = contact
         return self._conclude(stamp_ns, is_heartbeat)
 
     def report(self, stamp_ns: int = 0, is_heartbeat: bool = False) -> SafetyReport:
@@ -204,7 +207,6 @@ class Observer:
             age,
             momentum.known_for,
             self.contact,
-            self._excess >= self._excess_limit,
             state != self._reported,
             is_heartbeat,
         )

@@ -94,7 +94,7 @@ class Detours:
         settings = self.settings
         if settings.detour_patience == 0.0:
             return request
-        if last is None or last.detour is None or not request.detours or not request.goal.same_as(last.goal):
+        if last is None or last.detour is None or not request.goal.same_as(last.goal):
             return request._replace(detour=Detour(np.inf, 0.0, 0, False, False, request.q))
         # Without a plan in force the arm cannot make progress.
         elapsed = min((request.effect_ns - last.effect_ns) * 1e-9, settings.horizon * settings.knot_duration)

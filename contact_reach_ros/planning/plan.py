@@ -143,8 +143,6 @@ class Request(NamedTuple):
     """Obstacles at `state_ns`."""
     speed_scale: float = 1.0
     """Share of γ that the plan may use, 0 to 1, and so of the speed."""
-    detours: bool = True
-    """Whether the plan may lead through another posture, if the settings permit it."""
     detour: Detour | None = None
     """Progress towards the goal and the detour that leads there, see `Detours.target`."""
 

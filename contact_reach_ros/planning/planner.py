@@ -210,15 +210,15 @@ class Planner:
         now_ns = math.inf if self.state is None else self.state.stamp_ns
         self.obstacles.see(obstacles, now_ns if stamp_ns is None else stamp_ns)
 
-    def objection(self, contact: Contact | None, excess: bool) -> str:
+    def objection(self, contact: Contact | None) -> str:
         """Why the goal has to be withdrawn, if there is one: a contact that nothing explains, or one too strong.
 
-        `contact` and `excess` are the observer's. The caller withdraws the goal.
+        `contact` is the observer's. The caller withdraws the goal.
         """
         if self.goal is None or self.state is None or contact is None:
             self._unexpected_ns = None
             return ""
-        if excess:
+        if contact.is_excessive:
             return f"contact of {describe_contact(contact)}, more than the permitted force"
         if self._explanation is None:
             return ""

@@ -85,7 +85,6 @@ def test_no_detour_leads_into_more_force_than_permitted():
 
 
 def test_settings_permit_none():
-    assert not followed(begin(detours=False), HOME, 4.0).on_detour
     detours = Detours(ARM, dataclasses.replace(SMALL, detour_patience=0.0), PERMITTED_FORCE)
     request = Request(HOME, REST, 0, 0, GOAL, Spheres.none())
     assert detours.target(request, request) is request

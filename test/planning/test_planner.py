@@ -43,10 +43,10 @@ def state(tick: int, q: np.ndarray = HOME) -> JointState:
     return JointState(tick * TICK_NS, q, REST, None)
 
 
-def touch(force: float = 10.0) -> Contact:
+def touch(force: float = 10.0, is_excessive: bool = False) -> Contact:
     pushed = force * ROTATION[:, 0]
     torque = RobotModel(ARM).jacobian_at(HOME)[:3].T @ pushed
-    return Contact(ARM.link_names[-1], TIP, pushed, 0.0, torque)
+    return Contact(ARM.link_names[-1], TIP, pushed, 0.0, torque, is_excessive)
 
 
 def requests(planner: Planner, first: int, last: int) -> dict[int, Request]:
@@ -139,11 +139,11 @@ class TestGoals:
 
 
 class TestContacts:
-    def objections(self, planner: Planner, ticks: range, contact: Contact | None, excess: bool = False) -> list[str]:
+    def objections(self, planner: Planner, ticks: range, contact: Contact | None) -> list[str]:
         made = []
         for tick in ticks:
             planner.request(state(tick))
-            made.append(planner.objection(contact, excess))
+            made.append(planner.objection(contact))
         return made
 
     def test_an_unexpected_one_is_objected_to_when_it_lasts_and_the_caller_withdraws(self, planner):
@@ -160,7 +160,7 @@ class TestContacts:
             assert not any(self.objections(planner, range(start + 10, start + 20), None))
         assert not any(self.objections(planner, range(100, 200), touch(4.9)))
         planner.withdraw()
-        assert not any(self.objections(planner, range(200, 300), touch(), excess=True))
+        assert not any(self.objections(planner, range(200, 300), touch(is_excessive=True)))
 
     @pytest.mark.parametrize("reaction", REACTIONS)
     def test_one_beyond_the_permitted_force_is_objected_to_at_once_whatever_the_reaction(self, core, reaction):
@@ -168,7 +168,7 @@ class TestContacts:
         planner.command(GOAL)
         planner.request(state(0))
         expected = "contact of 14 N at lbr_link_7, more than the permitted force"
-        assert planner.objection(touch(14.0), True) == expected
+        assert planner.objection(touch(14.0, True)) == expected
 
     def test_one_that_ignores_contact_objects_to_none_within_it(self, core):
         planner = make(core, IGNORE)

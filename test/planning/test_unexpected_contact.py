@@ -108,10 +108,10 @@ def test_a_planner_explains_by_the_obstacles_that_it_saw_last():
     planner.command(GOAL)
     for tick in range(200):
         planner.request(state(tick))
-        assert not planner.objection(contact, False)
+        assert not planner.objection(contact)
     planner.see(Spheres.none())
     found = []
     for tick in range(200, 212):
         planner.request(state(tick))
-        found.append(planner.objection(contact, False))
+        found.append(planner.objection(contact))
     assert found[0] == "" and found[-1] == "unexpected contact of 8 N at lbr_link_7"
