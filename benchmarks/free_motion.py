@@ -22,8 +22,8 @@ from contact_reach_ros.world.scene import MismatchSettings, Scene
 REACH = (1.2, 0.5, 0.8, 0.6, 1.2, 0.6, 1.5)
 """How far postures lie from home, joint by joint, rad: where arms work, elbow and wrist bent; repeated for more joints.
 """
-SPEED_SHARES = (0.1, 0.5)
-"""Least and greatest peak speed of a motion, as shares of the speed limits."""
+SPEED_SHARES = (0.05, 0.2)
+"""Least and greatest peak speed of a motion, as shares of the speed limits: what the caps permit."""
 START = 0.8
 """Until the arm has been handed over and is watched in full, s."""
 
