@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import gc
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -307,20 +308,22 @@ STALE: dict[str, Callable[[JointState], JointState | None]] = {
 }
 
 
+CAUSES = ("controller/stop", "observer/stop", "driver/stop", "push", "no efforts", "an encoder jumps")
+
+
 @pytest.mark.parametrize(
-    ("has_brakes", "has_adapter"),
+    ("has_brakes", "has_adapter", "causes"),
     [
-        pytest.param(True, False, id="brakes"),
-        pytest.param(False, True, id="adapter"),
-        pytest.param(True, True, id="brakes and adapter", marks=pytest.mark.slow),
-        pytest.param(False, False, id="neither", marks=pytest.mark.slow),
+        pytest.param(True, False, CAUSES[3:5], id="brakes, quick"),
+        pytest.param(False, True, CAUSES[::5], id="adapter, quick"),
+        *(pytest.param(*drive, CAUSES, marks=pytest.mark.slow) for drive in itertools.product((True, False), repeat=2)),
     ],
 )
-def test_no_reset_is_accepted_on_stale_evidence(has_brakes, has_adapter):
+def test_no_reset_is_accepted_on_stale_evidence(has_brakes, has_adapter, causes):
     """Neither by all nodes in their order nor by the controller alone, whatever stopped the arm, pushed or not."""
     held = Rig(has_brakes, has_adapter)
     held.run(1.5)
-    for event in ("controller/stop", "observer/stop", "driver/stop", "push", "no efforts", "an encoder jumps"):
+    for event in causes:
         for seconds in (0.05, 1.5):
             stopped = held.twin()
             EVENTS[event](stopped)
