@@ -11,11 +11,6 @@ from contact_reach_ros.control.references import Reference, ReferenceQueue
 from contact_reach_ros.control.settings import AXIS, POSITION, ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.timing import NANOSECONDS
 
-MAX_PLAN_LEAD = 1.0
-"""Time in the future above which the stamp of a plan is refused, s: such a stamp is from another clock."""
-MAX_PLAN_DURATION = 1.0
-"""Duration above which a plan is refused, s: the arm would follow a planner that is gone."""
-
 
 class Follower:
     """Follows the plan in force; without one it holds the arm where it is.
@@ -35,7 +30,7 @@ class Follower:
 
     def __init__(self, n: int, impedance: ImpedanceSettings, limits: SupervisionSettings) -> None:
         """`n`: number of joints."""
-        self.queue = ReferenceQueue(n, MAX_PLAN_LEAD, MAX_PLAN_DURATION)
+        self.queue = ReferenceQueue(n)
         self.reference: Reference | None = None
         self.had_plan = False
         self._task = impedance.task

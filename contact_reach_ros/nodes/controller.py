@@ -19,7 +19,7 @@ from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_stop_state
 from contact_reach_ros.messages.intake import Taken
-from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
+from contact_reach_ros.messages.plan_reader import PlanReader
 from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
 from contact_reach_ros.messages.serialized import JointStateReader, command_writer
 from contact_reach_ros.messages.values import read_settings
@@ -72,6 +72,7 @@ class ControllerNode(StoppableNode):
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._writer = command_writer(self.arm.n)
         self._controller = self._make_controller()
+        self._plans = PlanReader(self._controller)
         if self._watches:
             self._controller.watch_with(self._make_watcher())
         self._controller.not_yet = "still looking for other publishers"
@@ -118,7 +119,6 @@ class ControllerNode(StoppableNode):
         values = {
             "mode": controller.mode.value,
             "plans accepted": controller.follower.queue.accepted,
-            "plan halves unpaired": controller.follower.queue.unpaired,
             "plan age s": controller.follower.queue.age(controller.stamp_ns),
             "position error m": float(np.linalg.norm(controller.error[:3])),
             "observer silence max ms": 1000.0 * controller.supervisor.longest_silence,
@@ -183,12 +183,11 @@ class ControllerNode(StoppableNode):
 
     def _on_poses(self, message: MultiDOFJointTrajectory) -> None:
         self._check_agreement()
-        self._controller.follower.queue.offer_poses(pose_knots(message), self._controller.stamp_ns)
+        self._plans.take_poses(message)
 
     def _on_postures(self, message: JointTrajectory) -> None:
         self._check_agreement()
-        knots = posture_knots(message, self.arm.joint_names)
-        self._controller.follower.queue.offer_postures(knots, self._controller.stamp_ns)
+        self._plans.take_postures(message)
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
         if message.name == OBSERVER:

@@ -18,7 +18,7 @@ from contact_reach_ros.arm import BLIND_AFTER, Array, JointState
 from contact_reach_ros.control.controller import Controller, ControllerSettings
 from contact_reach_ros.errors import BagError, InputError, requested
 from contact_reach_ros.messages.intake import TOPICS, Taken
-from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
+from contact_reach_ros.messages.plan_reader import PlanReader
 from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
 from contact_reach_ros.observer.budget import BUDGET
 from contact_reach_ros.observer.observer import Observer
@@ -213,6 +213,7 @@ class _ControllerLoop(_Loop):
         self.controller = Controller(inputs.arm, ControllerSettings(*sections), self.period, hold=hold)
         self.watch = self.make_observer(self.controller.watch_period, locates=False, blind_after=BLIND_AFTER)
         self.controller.watch_with(self.watch)
+        self.plans = PlanReader(self.controller)
         self.residuals = inputs.by_stamp(EXTERNAL_TORQUE)
         self.last_residual: Array | None = None
         self.recorded = inputs.by_output(self.topic)
@@ -278,13 +279,12 @@ class _ControllerLoop(_Loop):
 
     def _follow(self, row: Row) -> None:
         message = self.inputs.message(TOPICS[row.what], row.sent_ns)
-        references, stamp_ns = self.controller.follower.queue, self.controller.stamp_ns
         if message is None:
             self.lose()
         elif row.what is Taken.REFERENCE_POSE:
-            references.offer_poses(pose_knots(message), stamp_ns)
+            self.plans.take_poses(message)
         else:
-            references.offer_postures(posture_knots(message, self.inputs.arm.joint_names), stamp_ns)
+            self.plans.take_postures(message)
 
 
 class _ObserverLoop(_Loop):

@@ -15,7 +15,7 @@ import numpy as np
 from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
-from contact_reach_ros.messages.plan_reader import pose_knots, posture_knots
+from contact_reach_ros.messages.plan_reader import read_poses, read_postures
 from contact_reach_ros.messages.plan_request import Parts, read_memory, read_request
 from contact_reach_ros.messages.values import nanoseconds, split_array
 from contact_reach_ros.observer.budget import BUDGET
@@ -159,13 +159,13 @@ class RecordedPlans:
         found = {"cost": abs(plan.cost - cost) / max(abs(cost), _LEAST_COST)}
         for message in self._inputs.messages("reference/pose"):
             if nanoseconds(message.header.stamp) == effect_ns:
-                poses = pose_knots(message)
-                found["positions"] = _largest(poses.positions - plan.positions)
-                found["rotations"] = _largest(poses.rotations - plan.rotations)
+                positions, rotations = read_poses(message)
+                found["positions"] = _largest(positions - plan.positions)
+                found["rotations"] = _largest(rotations - plan.rotations)
         for message in self._inputs.messages("reference/posture"):
             if nanoseconds(message.header.stamp) == effect_ns:
-                knots = posture_knots(message, self._inputs.arm.joint_names)
-                found["postures"] = _largest(knots.postures - plan.postures)
+                postures = read_postures(message, self._inputs.arm.joint_names)
+                found["postures"] = _largest(postures - plan.postures)
         return found
 
 
