@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
+from contact_reach_ros.agreement import OF_PLANS, differences, plan_basis
 from contact_reach_ros.arm import BLIND_AFTER, Arm, Array, JointState, link_frames
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.settings import disagreement, plan_basis
 from contact_reach_ros.control.supervisor import RESET_ORDER
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError, requested
 from contact_reach_ros.observer.budget import ContactBudget
@@ -196,7 +196,8 @@ class Stack:
             )
         basis = getattr(self.planner.core, "basis", {})
         gains, supervision = self.controller.settings.impedance, self.controller.settings.supervision
-        differs = disagreement(plan_basis(self.arm, gains, supervision.max_position_error), basis)
+        own = plan_basis(self.arm, gains, supervision.max_position_error)
+        differs = differences(own, basis, "planner", OF_PLANS)
         if differs:
             raise SettingsError(f"planner and controller disagree: {differs}; give both the same")
         self.refused: dict[str, int] = {}

@@ -11,9 +11,10 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
+from contact_reach_ros.agreement import OF_PLANS, differences
 from contact_reach_ros.arm import BLIND_AFTER
 from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, SupervisionSettings, differences, disagreement
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.messages import topics
@@ -167,10 +168,9 @@ class ControllerNode(StoppableNode):
     def _on_settings(self, message: DiagnosticStatus) -> None:
         own = self.reported_settings()
         if message.name == _PLANNER:
-            self._disagreement = disagreement(own, read_settings(message))
+            self._disagreement = differences(own, read_settings(message), _PLANNER, OF_PLANS)
         elif message.name == OBSERVER and self._watches:
-            names = [name for name in own if name.startswith(_OF_THE_OBSERVER)]
-            differs = differences(own, read_settings(message), OBSERVER, names)
+            differs = differences(own, read_settings(message), OBSERVER, _OF_THE_OBSERVER)
             hint = "start both with the same parameter file, or with supervision.watch_itself: false"
             self._other_watch = f"observer and controller disagree: {differs}; {hint}" if differs else ""
 

@@ -12,9 +12,10 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
+from contact_reach_ros.agreement import plan_basis
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings, plan_basis
+from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.detour import Detours
@@ -85,7 +86,7 @@ class RecedingHorizonPlanner:
     Attributes
     ----------
     basis
-        What the plans are made for, see `control.settings`.
+        What the plans are made for, see `agreement`.
     memory
         What the next plan starts from; None after a reset. It may be set to an earlier value.
     """

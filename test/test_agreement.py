@@ -5,12 +5,17 @@ import dataclasses
 import pytest
 from arm_simulation import ARM
 
+from contact_reach_ros.agreement import OF_PLANS, differences, plan_basis
 from contact_reach_ros.arm.tool import Tool
-from contact_reach_ros.control.settings import ImpedanceSettings, differences, disagreement, plan_basis
+from contact_reach_ros.control.settings import ImpedanceSettings
 
 GAINS = ImpedanceSettings()
 TOOL = Tool(mass=1.0, center=(0.03, 0.0, 0.06), flange_to_tip=(0.0, 0.0, 0.15, 0.0, 0.3, 0.0))
 OWN = {**plan_basis(ARM, GAINS, 0.1), "state_rate": 1000.0, "supervision.hold_limit": 5.0}
+
+
+def disagreement(own, planners):
+    return differences(own, planners, "planner", OF_PLANS)
 
 
 def test_the_same_settings_agree_whatever_else_differs():
@@ -45,6 +50,6 @@ def test_planner_and_controller_with_different_tools_disagree_and_the_tool_is_na
 def test_lists_are_compared_as_messages_carry_them():
     own = {"momentum.viscous_friction": (0.0, 1.0), "safety.debounce": 3}
     same, other = {"momentum.viscous_friction": [0.0, 1.0]}, {"momentum.viscous_friction": [0.0, 2.0]}
-    assert differences(own, same, "observer", own) == ""
-    found = differences(own, other, "observer", own)
+    assert differences(own, same, "observer", ("momentum.", "safety.")) == ""
+    found = differences(own, other, "observer", ("momentum.", "safety."))
     assert found == "momentum.viscous_friction = [0.0, 2.0] in the observer, (0.0, 1.0) in the controller"
