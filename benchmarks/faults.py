@@ -19,8 +19,7 @@ from benchmarks.output import Report, command_line, given, machine, run_command,
 from benchmarks.paper import METHOD
 from benchmarks.workers import run_each
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import PlanningSettings

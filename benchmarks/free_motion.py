@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
-from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.references import References
-from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.safety import HANDOVER_TIME, SafetyMonitor

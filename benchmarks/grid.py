@@ -18,7 +18,7 @@ from benchmarks.metrics import EpisodeMetrics, measure
 from benchmarks.paper import JOINT_TORQUE
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arms import DEFAULT_ARM, load_arm
-from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import ObserverSettings

@@ -11,8 +11,7 @@ import numpy as np
 from benchmarks.baselines.method import Method
 from benchmarks.episode import EpisodeOptions, run_episode
 from contact_reach_ros.arm import Arm
-from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.plan import Plan, Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
@@ -79,7 +78,7 @@ class _RecordingPlanner(RecedingHorizonPlanner):
             self._recording = _RecordingSolver(cost, n, settings)
             return self._recording
 
-        super().__init__(arm, settings, ImpedanceSettings(), permitted_force, capacity, solver=make)
+        super().__init__(arm, settings, ControllerSettings(), permitted_force, capacity, solver=make)
         self.recorded: list[tuple[Request, Plan, Problem, Distribution, float, np.ndarray]] = []
 
     def plan(self, request: Request) -> Plan:

@@ -17,8 +17,7 @@ from benchmarks.grid_run import run_grid
 from benchmarks.output import Report, command_line, command_of, given, run_command, table, write_report
 from benchmarks.paper import METHOD
 from contact_reach_ros.arms import DEFAULT_ARM
-from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.planner import ReplanningSettings

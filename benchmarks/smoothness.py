@@ -14,8 +14,7 @@ from benchmarks.workers import run_each
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import DEFAULT_ARM, load_arm
-from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import TICK

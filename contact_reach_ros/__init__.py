@@ -13,9 +13,14 @@ if TYPE_CHECKING:
     from contact_reach_ros.arm.joint_state import JointState
     from contact_reach_ros.arm.tool import Tool
     from contact_reach_ros.arms import load_arm
-    from contact_reach_ros.control.controller import Controller, ControllerSettings
+    from contact_reach_ros.control.controller import Controller
     from contact_reach_ros.control.references import References
-    from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
+    from contact_reach_ros.control.settings import (
+        ControllerSettings,
+        ImpedanceSettings,
+        LimitSettings,
+        SupervisionSettings,
+    )
     from contact_reach_ros.errors import ContactReachError
     from contact_reach_ros.observer.budget import ContactBudget, load_budget
     from contact_reach_ros.observer.observer import Observer, SafetyReport
@@ -37,7 +42,7 @@ _WHERE = {
     "ContactBudget": "observer.budget",
     "ContactReachError": "errors",
     "Controller": "control.controller",
-    "ControllerSettings": "control.controller",
+    "ControllerSettings": "control.settings",
     "Goal": "world.goal",
     "ImpedanceSettings": "control.settings",
     "JointState": "arm.joint_state",

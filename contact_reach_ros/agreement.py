@@ -12,19 +12,24 @@ from typing import Any
 
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arms import ROBOT, ROBOT_DIGEST, TOOL_PARAMETERS
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ControllerSettings
 
 _EVERYWHERE = (ROBOT, *TOOL_PARAMETERS, ROBOT_DIGEST, "state_rate")
 """Settings of every node that have to be the same."""
-_GAINS, _MAX_POSITION_ERROR = "impedance.", "supervision.max_position_error"
-OF_PLANS = (_GAINS, _MAX_POSITION_ERROR)
+_GAINS, _MAX_POSITION_ERROR, _BODY_SPEED = "impedance.", "supervision.max_position_error", "limits.body_speed"
+OF_PLANS = (_GAINS, _MAX_POSITION_ERROR, _BODY_SPEED)
 """Prefixes of the settings of the controller that the planner has to know, too."""
 
 
-def plan_basis(arm: Arm, gains: ImpedanceSettings, max_position_error: float) -> dict[str, Any]:
+def plan_basis(arm: Arm, controller: ControllerSettings) -> dict[str, Any]:
     """What plans are made for, by the full names of the settings: the arm, and the controller that follows them."""
-    basis = {ROBOT: arm.name, ROBOT_DIGEST: arm.digest, _MAX_POSITION_ERROR: max_position_error}
-    return basis | {_GAINS + name: value for name, value in asdict(gains).items()}
+    return {
+        ROBOT: arm.name,
+        ROBOT_DIGEST: arm.digest,
+        _MAX_POSITION_ERROR: controller.supervision.max_position_error,
+        _BODY_SPEED: controller.limits.body_speed,
+        **{_GAINS + name: value for name, value in asdict(controller.impedance).items()},
+    }
 
 
 def differences(own: Mapping[str, Any], others: Mapping[str, Any], other: str, prefixes: tuple[str, ...]) -> str:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arms import TOOL_PARAMETERS, arm_in, known_parameters, load_arm, make_settings
 from contact_reach_ros.bags.settings import RECORDER_SECTIONS
 from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS
-from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ControllerSettings
 from contact_reach_ros.drives.settings import ADAPTER_SECTIONS
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
@@ -32,9 +32,6 @@ from contact_reach_ros.settings import (
 )
 from contact_reach_ros.simulation.settings import DRIVER_SECTIONS, check_period
 from contact_reach_ros.viewer.settings import VIEWER_SECTIONS
-
-if TYPE_CHECKING:
-    from contact_reach_ros.control.controller import ControllerSettings
 
 SECTIONS: Mapping[str, Sections] = {
     "driver": DRIVER_SECTIONS,
@@ -76,9 +73,6 @@ def preset(name: str, arm: Arm | None = None) -> Preset:
 
     Raises `SettingsError` if there is no preset of this name, or its file has a value that is not accepted.
     """
-    # It compiles the controller's arithmetic.
-    from contact_reach_ros.control.controller import ControllerSettings
-
     if name not in PRESETS:
         raise SettingsError(f"preset '{name}' is unknown; expected one of {', '.join(PRESETS)}")
     file, arm = config_file(PRESETS[name]), arm or load_arm()
@@ -90,7 +84,7 @@ def preset(name: str, arm: Arm | None = None) -> Preset:
     return Preset(
         planning=planner["planning"],
         replanning=planner[""],
-        controller=ControllerSettings(*(controller[prefix] for prefix in ("impedance", "limits", "supervision"))),
+        controller=ControllerSettings.from_sections(controller),
         unexpected_contact=planner["unexpected_contact"],
     )
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from contact_reach_ros.agreement import OF_PLANS, differences, plan_basis
 from contact_reach_ros.arm import BLIND_AFTER, Arm, Array, JointState, link_frames
-from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.controller import Controller
+from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.control.supervisor import RESET_ORDER
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError, requested
 from contact_reach_ros.observer.budget import ContactBudget
@@ -195,8 +196,7 @@ class Stack:
                 unexpected_contact=unexpected_contact,
             )
         basis = getattr(self.planner.core, "basis", {})
-        gains, supervision = self.controller.settings.impedance, self.controller.settings.supervision
-        own = plan_basis(self.arm, gains, supervision.max_position_error)
+        own = plan_basis(self.arm, self.controller.settings)
         differs = differences(own, basis, "planner", OF_PLANS)
         if differs:
             raise SettingsError(f"planner and controller disagree: {differs}; give both the same")
@@ -487,9 +487,8 @@ def make_planner(
 
     planning = planning or PlanningSettings()
     controller = controller or ControllerSettings()
-    gains = controller.impedance
-    force, reach = (budget or ContactBudget()).permitted_force, controller.supervision.max_position_error
-    core = RecedingHorizonPlanner(arm, planning, gains, force, capacity, reach, solver or HybridSolver)
+    force = (budget or ContactBudget()).permitted_force
+    core = RecedingHorizonPlanner(arm, planning, controller, force, capacity, solver or HybridSolver)
     unexpected_contact = unexpected_contact or UnexpectedContactSettings()
     replanning = replanning or ReplanningSettings()
-    return Planner(arm, core, replanning, unexpected_contact, task=gains.task, budget=budget)
+    return Planner(arm, core, replanning, unexpected_contact, task=controller.impedance.task, budget=budget)

@@ -10,9 +10,9 @@ from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.references import Reference, References
-from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.obstacle import Obstacle

@@ -18,8 +18,8 @@ from plans import StayingCore
 
 from contact_reach_ros.arm import BLIND_AFTER, JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.control.controller import Controller
+from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.drives.command_guard import CommandGuard, Phase
 from contact_reach_ros.drives.settings import AdapterSettings

@@ -11,8 +11,9 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from contact_reach_ros.arm import REST_SPEED, JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import torque_rates
-from contact_reach_ros.control.controller import HELD_AFTER, Controller, ControllerSettings
+from contact_reach_ros.control.controller import HELD_AFTER, Controller
 from contact_reach_ros.control.references import References
+from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.control.supervisor import OBSERVER_TIMEOUT, Mode
 from contact_reach_ros.errors import InputError, Verdict
 from contact_reach_ros.observer.budget import ContactBudget

@@ -15,8 +15,7 @@ from benchmarks.episode import EpisodeRobot, Silent
 from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
 from contact_reach_ros.errors import InputError, SettingsError, StopCode
 from contact_reach_ros.planning.plan import PlanningCore
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
@@ -286,6 +285,6 @@ def test_the_planner_knows_when_the_controller_drops_its_plans():
     controller = ControllerSettings(supervision=SupervisionSettings(max_position_error=0.2))
     stack = Stack(FREE_SCENE, planning=SMALL, controller=controller)
     assert stack.planner.core.basis["supervision.max_position_error"] == 0.2
-    core = RecedingHorizonPlanner(ARM, SMALL, ImpedanceSettings(), 10.0, 0)
+    core = RecedingHorizonPlanner(ARM, SMALL, ControllerSettings(), 10.0, 0)
     with pytest.raises(SettingsError, match=r"max_position_error = [\d.]+ in the planner, 0.2 in the controller"):
         Stack(FREE_SCENE, planner=core, controller=controller)

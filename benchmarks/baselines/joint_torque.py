@@ -23,10 +23,10 @@ from benchmarks.law import ImpedanceLaw
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import make_constants
-from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.kernels import repulsion_torque
 from contact_reach_ros.control.references import References
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective, ReferenceSpace, knot_bounds, make_objective
 from contact_reach_ros.planning.plan import Held, Plan, ReferenceTrajectory
 from contact_reach_ros.planning.prediction import Predictor, reference_at
@@ -208,12 +208,12 @@ class TorquePlanner(RecedingHorizonPlanner):
         self,
         arm: Arm,
         settings: PlanningSettings,
-        gains: ImpedanceSettings,
+        controller: ControllerSettings,
         permitted_force: float,
         capacity: int,
         damping: Array,
     ) -> None:
-        super().__init__(arm, settings, gains, permitted_force, capacity)
+        super().__init__(arm, settings, controller, permitted_force, capacity)
         self._damping = damping
         self._ramp_s = 0.0
         self._model = RobotModel(arm)

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from contact_reach_ros.arm import Arm
-from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.controller import Controller
+from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.planning.plan import PlanningCore
 
 

@@ -14,7 +14,7 @@ from benchmarks.baselines.reference_posture import PosturePlanner
 from benchmarks.baselines.rrt_star import JointPath, PathSettings, find_path
 from benchmarks.baselines.solvers import CmaSolver, GradientSolver
 from contact_reach_ros.arm import Arm, Array
-from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -113,7 +113,7 @@ def make_method(
     if name == "joint_torque":
         settings = dataclasses.replace(settings, seed=seed)
         damping = joint_damping(arm)
-        planner = TorquePlanner(arm, settings, controller.impedance, permitted_force, capacity, damping)
+        planner = TorquePlanner(arm, settings, controller, permitted_force, capacity, damping)
         return Method(planner, controller, TorqueController)
     settings = dataclasses.replace(settings, seed=seed)
     if name in _WITHOUT_DETOURS:
@@ -124,6 +124,5 @@ def make_method(
         # Law (6) pulls from afar, which the controller would refuse as a posture that is too far away.
         supervision = dataclasses.replace(controller.supervision, max_posture_error=_ANY_POSTURE)
         controller = dataclasses.replace(controller, supervision=supervision)
-    reach = controller.supervision.max_position_error
     solver = _SOLVERS.get(name, HybridSolver)
-    return Method(kind(arm, settings, controller.impedance, permitted_force, capacity, reach, solver), controller)
+    return Method(kind(arm, settings, controller, permitted_force, capacity, solver), controller)

@@ -10,6 +10,7 @@ from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.kernels import Constant
 from contact_reach_ros.control.settings import (
+    IMPACT_ENERGY,
     SINGULARITY_FLOOR,
     ImpedanceSettings,
     LimitSettings,
@@ -27,9 +28,6 @@ REPULSION_DAMPING = 10.0
 their torque limits. Without it the repulsion would throw the joint back."""
 JOINT_SHARE = 0.7
 """Joint speed beyond which the arm is not driven, as a share of the data sheet's limit."""
-IMPACT_ENERGY = 0.13
-"""Kinetic energy in the direction of a point's motion beyond which the arm is not driven, J: a body of 75 N/mm is hit
-with 140 N."""
 POSTURE_REACH = 0.25
 """Distance of a joint from its reference posture beyond which law (2) pulls no harder, rad: plans ask for less."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +16,7 @@ from contact_reach_ros.control.kernels import Constant, tracking_torque
 from contact_reach_ros.control.own_watch import OwnWatch
 from contact_reach_ros.control.passive_stop import PassiveStop
 from contact_reach_ros.control.references import References
-from contact_reach_ros.control.settings import ImpedanceSettings, LimitSettings, SupervisionSettings
+from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.control.stability import check_gains
 from contact_reach_ros.control.supervisor import OBSERVER, Event, Mode, Supervisor, check_start, check_state
 from contact_reach_ros.errors import InputError, Verdict
@@ -33,15 +32,6 @@ HELD_AFTER = 0.02
 WATCH_RATE = 250.0
 """Joint states per second that the controller's own watch takes at most, Hz, each with the mean torque since the last:
 it is a second line of defence, and must leave the tick its time."""
-
-
-@dataclass(frozen=True)
-class ControllerSettings:
-    """All settings of the controller, by section."""
-
-    impedance: ImpedanceSettings = field(default_factory=ImpedanceSettings)
-    limits: LimitSettings = field(default_factory=LimitSettings)
-    supervision: SupervisionSettings = field(default_factory=SupervisionSettings)
 
 
 class Controller:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Sections, Settings, setting
@@ -12,6 +14,9 @@ TASK_ROWS = {POSE: 6, AXIS: 5, POSITION: 3}
 """Rows that law (1) controls, by the setting `task`: translation and rotation, translation and the direction of the
 tip's z axis, or translation alone."""
 
+IMPACT_ENERGY = 0.13
+"""Kinetic energy in the direction of a point's motion beyond which the arm is not driven, J: a body of 75 N/mm is hit
+with 140 N."""
 SINGULARITY_FLOOR = 0.03
 """Eigenvalues of J M⁻¹ Jᵀ below this are lifted, 1/kg, which bounds Λ: it costs less than 1 mm
 while the elbow is bent by 0.4 rad, see docs/control.md."""
@@ -131,6 +136,20 @@ class SupervisionSettings(Settings):
     def has_own_watch(self) -> bool:
         """Whether the controller watches itself: not an arm that may move unwatched, nor one that others command."""
         return self.watch_itself and self.require_observer and not self.shadow
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """All settings of the controller, by section."""
+
+    impedance: ImpedanceSettings = field(default_factory=ImpedanceSettings)
+    limits: LimitSettings = field(default_factory=LimitSettings)
+    supervision: SupervisionSettings = field(default_factory=SupervisionSettings)
+
+    @classmethod
+    def from_sections(cls, sections: Mapping[str, Any]) -> ControllerSettings:
+        """The settings out of those of a node, by parameter prefix as in `CONTROLLER_SECTIONS`."""
+        return cls(*(sections[prefix] for prefix in CONTROLLER_SECTIONS))
 
 
 CONTROLLER_SECTIONS: Sections = {

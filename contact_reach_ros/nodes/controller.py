@@ -13,8 +13,8 @@ from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from contact_reach_ros.agreement import OF_PLANS, differences
 from contact_reach_ros.arm import BLIND_AFTER
-from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, SupervisionSettings
+from contact_reach_ros.control.controller import Controller
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ControllerSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.messages import topics
@@ -130,7 +130,7 @@ class ControllerNode(StoppableNode):
         return controller.stop_reason or waiting, values
 
     def _make_controller(self) -> Controller:
-        settings = ControllerSettings(self.settings["impedance"], self.settings["limits"], self.settings["supervision"])
+        settings = ControllerSettings.from_sections(self.settings)
         hold = self.settings[BUDGET].handover_thresholds if self._watches else None
         return Controller(self.arm, settings, self.period, hold=hold)
 

@@ -18,7 +18,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from visualization_msgs.msg import MarkerArray
 
-from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ControllerSettings
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError, SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
@@ -43,8 +43,6 @@ from contact_reach_ros.world.goal import POSE, Goal
 
 _POLL_NS = 3_000_000
 OBSERVER, CONTROLLER = "observer", "controller"
-_GAINS, _SUPERVISION = "impedance", "supervision"
-"""Sections of the controller's parameters that the planner reads, too: plans hold for these only."""
 
 
 class PlannerNode(ManagedNode):
@@ -65,15 +63,15 @@ class PlannerNode(ManagedNode):
         settings: PlannerNodeSettings = self.settings[""]
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self.settings[BUDGET] = load_budget(settings.contact_budget).resolve(self.arm)
-        controllers = settings_of(self.ARGUMENTS, CONTROLLER, CONTROLLER_SECTIONS, self.arm)
-        self.settings |= {prefix: controllers[prefix] for prefix in (_GAINS, _SUPERVISION)}
+        # Plans hold for this controller only.
+        self.settings |= settings_of(self.ARGUMENTS, CONTROLLER, CONTROLLER_SECTIONS, self.arm)
         self._planner = Planner(
             self.arm,
             None,
             settings,
             self.settings["unexpected_contact"],
             self.refuse,
-            self.settings[_GAINS].task,
+            self.settings["impedance"].task,
             self.settings[BUDGET],
         )
         self._output = PlannerOutput(self)
@@ -97,10 +95,9 @@ class PlannerNode(ManagedNode):
         self._planner.core = self._core = RecedingHorizonPlanner(
             self.arm,
             self.settings["planning"],
-            self.settings[_GAINS],
+            ControllerSettings.from_sections(self.settings),
             self.settings[BUDGET].permitted_force,
             self.settings[""].max_spheres,
-            self.settings[_SUPERVISION].max_position_error,
         )
         self._core.warm_up(lambda line: self.get_logger().info(line))
 

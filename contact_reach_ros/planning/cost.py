@@ -55,7 +55,9 @@ class Objective:
             reference=reference,
             link_force=link_force,
             contact=contact,
-            capsules=capsules,
+            capsules=jax.tree.map(
+                lambda first, rest: jnp.concatenate([first[None], rest]), self.end_of_knot(start.q)[1], capsules
+            ),
         )
 
     def transfer(self, problem: Problem, lanes: int) -> tuple[Any, Step]:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from contact_reach_ros.agreement import plan_basis
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.detour import Detours
@@ -72,14 +72,12 @@ class RecedingHorizonPlanner:
         Arm to plan for.
     settings
         The problem and its solver.
-    gains
-        Gains of the controller that the transfer model contains.
+    controller
+        Settings of the controller that follows the plans: the transfer model contains its gains, and the cost its caps.
     permitted_force
         ε of (4d), N, from the contact budget.
     capacity
         Number of obstacle spheres that the compiled program takes; 0 compiles one without contact.
-    max_position_error
-        Distance of x_d from the tip above which the controller drops a plan, m; by default that of its settings.
     solver
         Makes the solver from a cost, the number of its variables and the settings.
 
@@ -95,21 +93,22 @@ class RecedingHorizonPlanner:
         self,
         arm: Arm,
         settings: PlanningSettings,
-        gains: ImpedanceSettings,
+        controller: ControllerSettings,
         permitted_force: float,
         capacity: int,
-        max_position_error: float = SupervisionSettings().max_position_error,
         solver: Callable[[CostFunction, int, PlanningSettings], Solver] = HybridSolver,
     ) -> None:
         configure_jax(cache_directory() / "jax")
-        self.basis = plan_basis(arm, gains, max_position_error)
+        gains = controller.impedance
+        self.basis = plan_basis(arm, controller)
         self._arm = arm
         self._settings = settings
         self._obstacles = ObstacleReader(arm, capacity)
         self._permitted_force = permitted_force
         self._detours = Detours(arm, settings, permitted_force)
         self._speed = steady_speed(settings, gains)
-        self._max_position_error = max_position_error
+        self._max_position_error = controller.supervision.max_position_error
+        self._body_speed = controller.limits.body_speed
         self._ramp_s = gains.reference_ramp
         self._space = self._make_space(gains)
         self._spread = self._space.spread
@@ -295,6 +294,7 @@ class RecedingHorizonPlanner:
             goal_rotation=single(rotation[:, :, None]),
             weights=self._weights_for(request),
             permitted_force=single(self._permitted_force),
+            body_speed=single(self._body_speed),
             bodies=bodies,
             speed_scale=single(request.speed_scale),
             before=None if before is None else pipeline.Reference(*(single(part[..., None]) for part in before)),

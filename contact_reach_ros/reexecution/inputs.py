@@ -16,7 +16,7 @@ from contact_reach_ros.arms import ROBOT_DIGEST, ROBOT_TABLE, known_parameters, 
 from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, read_raw
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.signals import SETTINGS, recorded_arm
-from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.messages.intake import COLUMNS, TOPICS, Taken
 from contact_reach_ros.messages.safety_state import read_reason
@@ -43,12 +43,7 @@ OBSTACLES = "obstacles"
 SECTIONS: Mapping[str, Sections] = {
     "controller": {**CONTROLLER_SECTIONS, **OBSERVER_SECTIONS, BUDGET: ContactBudget},
     "observer": {**OBSERVER_SECTIONS, BUDGET: ContactBudget},
-    "planner": {
-        **PLANNER_SECTIONS,
-        "impedance": ImpedanceSettings,
-        "supervision": SupervisionSettings,
-        BUDGET: ContactBudget,
-    },
+    "planner": {**PLANNER_SECTIONS, **CONTROLLER_SECTIONS, BUDGET: ContactBudget},
 }
 """What the nodes that are re-executed record, by parameter prefix."""
 

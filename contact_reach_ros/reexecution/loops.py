@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from contact_reach_ros.arm import BLIND_AFTER, Array, JointState
-from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.controller import Controller
+from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.errors import BagError, InputError, requested
 from contact_reach_ros.messages.intake import TOPICS, Taken
 from contact_reach_ros.messages.plan_reader import PlanReader
@@ -208,9 +209,10 @@ class _Loop:
 class _ControllerLoop(_Loop):
     def __init__(self, inputs: RecordedInputs, other: Path | None) -> None:
         super().__init__("controller", inputs, other)
-        sections = (self.settings[prefix] for prefix in ("impedance", "limits", "supervision"))
         hold = self.settings[BUDGET].handover_thresholds
-        self.controller = Controller(inputs.arm, ControllerSettings(*sections), self.period, hold=hold)
+        self.controller = Controller(
+            inputs.arm, ControllerSettings.from_sections(self.settings), self.period, hold=hold
+        )
         self.watch = self.make_observer(self.controller.watch_period, locates=False, blind_after=BLIND_AFTER)
         self.controller.watch_with(self.watch)
         self.plans = PlanReader(self.controller)

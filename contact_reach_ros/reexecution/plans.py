@@ -13,6 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from contact_reach_ros.arm import Array
+from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_poses, read_postures
@@ -112,9 +113,9 @@ class RecordedPlans:
         # Results must not depend on how fast the machine is.
         planning = dataclasses.replace(settings["planning"], deadline=0.0)
         force, capacity = settings[BUDGET].permitted_force, settings[""].max_spheres
-        gains, reach = settings["impedance"], settings["supervision"].max_position_error
+        controller = ControllerSettings.from_sections(settings)
         self._planner = RecedingHorizonPlanner(
-            inputs.arm, planning, gains, force, capacity, reach, lambda *_: self._solution
+            inputs.arm, planning, controller, force, capacity, lambda *_: self._solution
         )
 
     @property

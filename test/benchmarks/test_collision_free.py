@@ -9,8 +9,7 @@ from benchmarks.baselines.method import Method
 from benchmarks.baselines.rrt_star import PathSettings, find_path
 from benchmarks.episode import EpisodeOptions, run_episode
 from contact_reach_ros.arm import link_frames
-from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
 from contact_reach_ros.planning.settings import POSTURE_BOUND, ROTATION_BOUND, PlanningSettings
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.scene_file import read_scene

@@ -6,7 +6,7 @@ from arm_simulation import ARM
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.scripted import ScriptedPlanner
 from benchmarks.episode import EpisodeOptions, run_episode
-from contact_reach_ros.control.controller import ControllerSettings
+from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import rest_positions

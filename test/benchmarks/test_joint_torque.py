@@ -9,8 +9,7 @@ from benchmarks.baselines.method import Method
 from benchmarks.episode import EpisodeOptions, run_episode
 from contact_reach_ros.arm import link_frames
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
 from contact_reach_ros.planning.cost import make_objective
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer import pipeline

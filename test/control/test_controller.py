@@ -8,9 +8,9 @@ from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS, UNWATCHED, refer
 
 from contact_reach_ros.arm import JointState, rotation_about
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.controller import START_RAMP, Controller, ControllerSettings
+from contact_reach_ros.control.controller import START_RAMP, Controller
 from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
+from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import InputError, Verdict
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, VELOCITY_LIMITS, ClosedLoop, ideal_plant
 
-from contact_reach_ros.control.controller import ControllerSettings
 from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import REST_TIME, Mode
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.stack import Stack

@@ -6,7 +6,8 @@ from contact_reach_command import python
 TICKS = """
 import numpy as np
 from contact_reach_ros.control import kernels
-from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.controller import Controller
+from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.control.references import References
 from contact_reach_ros.arms import load_arm
 

@@ -6,8 +6,8 @@ from arm_simulation import ARM, HOME, REST, TICK_NS
 
 from contact_reach_ros.arm import BLIND_AFTER, JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.controller import WATCH_RATE, Controller, ControllerSettings
-from contact_reach_ros.control.settings import SupervisionSettings
+from contact_reach_ros.control.controller import WATCH_RATE, Controller
+from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import OBSERVER_TIMEOUT, Mode
 from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict
 from contact_reach_ros.observer.budget import ContactBudget

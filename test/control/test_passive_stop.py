@@ -11,10 +11,10 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.constants import make_constants
-from contact_reach_ros.control.controller import Controller, ControllerSettings
+from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.kernels import Constant, yielded
 from contact_reach_ros.control.passive_stop import BRAKING_TIME, PassiveStop
-from contact_reach_ros.control.settings import LimitSettings, SupervisionSettings
+from contact_reach_ros.control.settings import ControllerSettings, LimitSettings, SupervisionSettings
 from contact_reach_ros.simulation.plant import Actuation, Plant
 from contact_reach_ros.world.scene import Scene
 

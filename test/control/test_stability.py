@@ -4,8 +4,8 @@ import pytest
 from arm_simulation import ARM
 from six_axis import SIX_AXIS
 
-from contact_reach_ros.control.controller import Controller, ControllerSettings
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.controller import Controller
+from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
 from contact_reach_ros.control.stability import check_gains, spectral_radius
 from contact_reach_ros.errors import SettingsError
 

@@ -11,8 +11,7 @@ from benchmarks.baselines.scripted import ScriptedPlanner
 from benchmarks.episode import EpisodeOptions, run_episode
 from benchmarks.fault_checks import LINGER
 from benchmarks.faults import SMALL_PLANNER
-from contact_reach_ros.control.controller import ControllerSettings
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.scenes.generate import make_scene
@@ -41,7 +40,7 @@ def scene(name):
 @functools.cache
 def small_planner():
     """One for all scenes but the walls, so that it is compiled once."""
-    return RecedingHorizonPlanner(ARM, SMALL_PLANNER, ImpedanceSettings(), ContactBudget().permitted_force, capacity=1)
+    return RecedingHorizonPlanner(ARM, SMALL_PLANNER, ControllerSettings(), ContactBudget().permitted_force, capacity=1)
 
 
 def run_case(case: Case) -> list[str]:

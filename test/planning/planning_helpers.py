@@ -9,7 +9,7 @@ import numpy as np
 from arm_simulation import ARM, HOME
 
 from contact_reach_ros.arm import link_frames
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
 from contact_reach_ros.planning import cost
 from contact_reach_ros.planning.cost import Objective
 from contact_reach_ros.planning.obstacles import ObstacleReader
@@ -80,4 +80,4 @@ def make_objective() -> Objective:
 
 def make_planner(**changes: object) -> RecedingHorizonPlanner:
     settings = dataclasses.replace(SMALL, **changes)
-    return RecedingHorizonPlanner(ARM, settings, ImpedanceSettings(), PERMITTED_FORCE, capacity=1)
+    return RecedingHorizonPlanner(ARM, settings, ControllerSettings(), PERMITTED_FORCE, capacity=1)

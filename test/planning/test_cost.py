@@ -20,10 +20,12 @@ from planning_helpers import (
     make_problem,
 )
 
-from contact_reach_ros.arm import rotation_about
+from contact_reach_ros.arm import link_frames, rotation_about
+from contact_reach_ros.control.settings import IMPACT_ENERGY, LimitSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import JOINT_LIMIT_MARGIN, ROUNDING, TERMS, Problem, Term, term, term_weights
+from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.settings import setting
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -123,6 +125,23 @@ def test_joint_speeds_cost_from_their_limits_on(roll_out, share):
     excess = np.maximum(speeds - limits, 0.0)
     assert excess.any() == (share > 1.0)
     assert terms["joint_speed"][0] == pytest.approx(TERMS["joint_speed"].weight * (excess**2).sum(), rel=1e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize(("joint", "speed"), [(0, 0.1), (0, 8.0), (3, 8.0)])
+def test_points_faster_than_the_controllers_caps_cost(roll_out, joint, speed):
+    problem = make_problem(HOME, FLANGE, ball(FAR_BALL))
+    rollout, terms = roll_out(problem._replace(v=jnp.asarray(speed * np.eye(7)[:, joint : joint + 1])), STILL)
+    frames = [link_frames(ARM, q[:, 0]) for q in rollout.q]
+    excess = 0.0
+    for capsule, masses in zip(ARM.capsules, arm_model(ARM).end_mass.T, strict=True):
+        link = capsule.link - 1
+        for end, mass in zip((capsule.start, capsule.end), masses, strict=True):
+            path = np.array([origins[link] + rotations[link] @ end for rotations, origins in frames])
+            speeds = np.linalg.norm(np.diff(path, axis=0), axis=1) / SMALL.knot_duration
+            permitted = min(LimitSettings().body_speed, np.sqrt(2.0 * IMPACT_ENERGY / mass))
+            excess += (np.maximum(speeds - permitted, 0.0) ** 2).sum()
+    assert (excess > 1e-4) == (speed > 0.5)
+    assert terms["body_speed"][0] == pytest.approx(TERMS["body_speed"].weight * excess, rel=1e-2, abs=1e-4)
 
 
 def test_a_change_of_lead_costs_its_square(roll_out):

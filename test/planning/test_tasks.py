@@ -12,7 +12,7 @@ from six_axis import SIX_AXIS
 from benchmarks.model import simulate
 from contact_reach_ros.arm import JointState, link_frames, tip_positions
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.settings import ImpedanceSettings
+from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.planner import Planner
@@ -88,7 +88,7 @@ def test_goals_keep_only_as_much_of_the_orientation_as_the_task_controls():
 @pytest.fixture(scope="module")
 def core() -> RecedingHorizonPlanner:
     """For an arm with another number of joints, asymmetric limits and other capsules, and one sphere."""
-    return RecedingHorizonPlanner(SIX_AXIS, SMALL, AXIS, PERMITTED_FORCE, capacity=1)
+    return RecedingHorizonPlanner(SIX_AXIS, SMALL, ControllerSettings(AXIS), PERMITTED_FORCE, capacity=1)
 
 
 def test_a_task_of_position_and_axis_plans_for_the_axis_alone(core):

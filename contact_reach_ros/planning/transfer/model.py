@@ -18,14 +18,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.arm import Arm, Array, rotation_from_quaternion
+from contact_reach_ros.arm import Arm, Array, link_frames, rotation_from_quaternion
 from contact_reach_ros.arm.capsules import self_pairs
 from contact_reach_ros.arm.mjcf import TIP_SITE, build_mjcf
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.resources import kept
 
 if TYPE_CHECKING:
     import brax
+
+
+_MOTIONS = 100
+"""Random motions about home whose median is a moving mass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +71,8 @@ class ArmModel:
     """(C, 3) from start to end in the link frames, m."""
     capsule_radius: Array
     """(C,), m."""
+    end_mass: Array
+    """(2, C) mass that moves with start and end of each capsule, median of motions about home, kg."""
     base_start: Array
     """(3,) of the capsule that does not move, m."""
     base_axis: Array
@@ -142,11 +149,31 @@ def read_arm(arm: Arm, system: brax.System) -> ArmModel:
         capsule_start=start[1:],
         capsule_axis=axis[1:],
         capsule_radius=np.array(model.geom_size[geoms[1:], 0]),
+        end_mass=np.array([_moving_mass(arm, bodies[1:] - 1, points) for points in (start[1:], end[1:])]),
         base_start=start[0],
         base_axis=axis[0],
         base_radius=float(model.geom_size[geoms[0], 0]),
         self_pairs=self_pairs(arm),
     )
+
+
+def _moving_mass(arm: Arm, links: NDArray[np.intp], points: Array) -> Array:
+    """Median mass (C,), kg, that moves with points (C, 3), m, in the frames of links (C,), about home."""
+    model, random = RobotModel(arm), np.random.default_rng(0)
+    masses = []
+    for _ in range(_MOTIONS):
+        q = np.clip(np.array(arm.home) + random.uniform(-0.6, 0.6, arm.n), arm.lower, arm.upper)
+        v = random.standard_normal(arm.n)
+        model.update_dynamics(q)
+        rotations, origins = (np.array(part[: arm.n]) for part in link_frames(arm, q))
+        levers = origins[links, None] + (rotations[links] @ points[:, :, None]).transpose(0, 2, 1) - origins
+        moves = np.arange(arm.n) <= links[:, None]
+        rows = np.cross(rotations[:, :, 2], levers) * moves[:, :, None]
+        direction = v @ rows
+        direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
+        torques = np.einsum("cnx,cx->nc", rows, direction)
+        masses.append(1.0 / ((torques * np.linalg.solve(model.mass_matrix, torques)).sum(axis=0) + 1e-9))
+    return np.median(masses, axis=0)
 
 
 def _double(values: object) -> Array:
