@@ -52,6 +52,7 @@ class RecorderNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__()
         self._promises = self.make_publisher(topics.LOCKSTEP_HORIZON) if self.lockstep else None
+        self._promised_ns = 0
         self._recorder: TopicRecorder | None = None
         self._next_discovery = self._next_flush = 0.0
         self._ended_early = ""
@@ -109,7 +110,8 @@ class RecorderNode(ManagedNode):
 
     def _promise(self, until_ns: int) -> None:
         """Let simulated time pass until then."""
-        if self._promises is not None:
+        if self._promises is not None and until_ns != self._promised_ns:
+            self._promised_ns = until_ns
             self._promises.publish(promise(self.NAME, min(until_ns, FOREVER_NS)))
 
     def deactivate(self) -> None:
