@@ -210,8 +210,8 @@ class ManagedNode(LifecycleNode):
 
         self.inbox.add(topic, take, self.stream_qos, serialized=True, ready=ready)
 
-    def _take_part(self) -> None:
-        """Make publisher and subscription of promises: after all others, as `ros.lockstep` explains."""
+    def take_part(self) -> None:
+        """In lockstep make publisher and subscription of promises: after all others, as `ros.lockstep` explains."""
         if self._waits_for is not None and self._turns is None:
             publish, tick_ns = self.make_publisher(LOCKSTEP_HORIZON).publish, round(self.period * NANOSECONDS)
             self._turns = Lockstep(self.NAME, tick_ns, publish, self._waits_for)
@@ -271,7 +271,7 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run `configure`."""
-        self._take_part()
+        self.take_part()
         return self._attempt(self.configure, super().on_configure, state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
