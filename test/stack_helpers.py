@@ -105,8 +105,9 @@ class Beside:
         self.executor.add_node(self.other)
 
     def publish(self, topic: Topic, by: Node | None = None) -> Publisher:
-        """A publisher of the other node, or a third one."""
-        return (by or self.other).create_publisher(topic.type, topic.name, qos_profile(topic.qos))
+        """A publisher of the other node, or a third one; in lockstep what it publishes is kept."""
+        qos = topics.KEPT_STREAM if self.node.lockstep and not topic.qos.latched else topic.qos
+        return (by or self.other).create_publisher(topic.type, topic.name, qos_profile(qos))
 
     def until(self, condition: Callable[[], object], what: str, meanwhile: Callable[[], None] = lambda: None) -> None:
         """Let the nodes work until the condition holds."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from pathlib import Path
 
 import yaml
@@ -29,16 +28,6 @@ _TUNABLE = ("planner", "controller", "observer", "driver")
 """Nodes whose parameters `BringupOptions.overrides` may set."""
 
 
-class Wave(IntEnum):
-    """When a process is started."""
-
-    EARLY = 0
-    """Before the loops: it needs the whole machine to get ready, or must miss nothing."""
-    LOOPS = 1
-    LAST = 2
-    """After discovery: time begins with it."""
-
-
 @dataclass(frozen=True)
 class Process:
     """One process of the stack.
@@ -49,8 +38,8 @@ class Process:
         Of node and executable.
     parameters
         Given on its command line, after the parameter file.
-    wave
-        It is started when those of earlier waves are up.
+    early
+        Whether it is started before the loops: it needs the whole machine to get ready, or must miss nothing.
     essential
         Whether its end is the end of the stack.
     lasts
@@ -59,7 +48,7 @@ class Process:
 
     name: str
     parameters: Mapping[str, ParameterValue]
-    wave: Wave = Wave.LOOPS
+    early: bool = False
     essential: bool = True
     lasts: bool = False
 
@@ -108,15 +97,14 @@ def processes(options: BringupOptions) -> list[Process]:
     if adapted:
         # The simulated driver has no controllers of ros2_control that could be asked.
         adapting = {**time, "kind": options.adapter, "effort.ask_joints": not options.driver}
-        table.append(Process(ADAPTER, adapting, lasts=True))
+        table.append(Process(ADAPTER, adapting, early=True, lasts=True))
     if options.view:
-        table.append(Process(VIEWER, time, wave=Wave.EARLY, essential=False))
+        table.append(Process(VIEWER, time, early=True, essential=False))
     if options.bag:
         recording = {"bag": options.bag, **_origin(options, changed["driver"]), **time}
-        table.append(Process(RECORDER, recording, wave=Wave.EARLY))
+        table.append(Process(RECORDER, recording, early=True))
     if options.driver:
-        wave = Wave.LAST if options.lockstep else Wave.LOOPS
-        table.append(Process("driver", {"scene": options.scene, **time, **changed["driver"]}, wave))
+        table.append(Process("driver", {"scene": options.scene, **time, **changed["driver"]}))
     elif changed["driver"]:
         raise SettingsError(f"overrides of the driver, {', '.join(changed['driver'])}: this node is not started here")
     table.append(Process(OBSERVER, {**time, **changed[OBSERVER]}))
@@ -131,7 +119,7 @@ def processes(options: BringupOptions) -> list[Process]:
     # With a deadline on the wall's clock plans would depend on how busy the machine is.
     unhurried = {"planning.deadline": 0.0} if options.lockstep else {}
     planning = {**time, **obstacles, **gains, **unhurried, **changed["planner"]}
-    table.append(Process("planner", planning, wave=Wave.EARLY))
+    table.append(Process("planner", planning, early=True))
     check_parameters(options.parameter_file, {process.name: process.parameters for process in table})
     return table
 

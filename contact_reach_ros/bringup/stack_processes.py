@@ -14,7 +14,7 @@ import numpy as np
 from lifecycle_msgs.srv import GetState
 from sensor_msgs.msg import JointState
 
-from contact_reach_ros.bringup.processes import BringupOptions, Process, Wave, processes
+from contact_reach_ros.bringup.processes import BringupOptions, Process, processes
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.executables import end_with_parent
 from contact_reach_ros.messages import topics
@@ -137,11 +137,11 @@ class StackProcesses:
         """
         prioritise_middleware()
         deadline = time.monotonic() + _STARTUP_S
-        for wave in Wave:
-            if wave is Wave.LOOPS:
+        for early in (True, False):
+            if not early:
                 # Once more: discovery has settled while the first processes got ready.
                 refuse_beside_another(self.client.node, self._names, self._running, patience=0.0)
-            started = [process for process in self._table if process.wave is wave]
+            started = [process for process in self._table if process.early is early]
             for process in started:
                 self._start(process)
             self._wait_active([process.name for process in started], deadline, progress)

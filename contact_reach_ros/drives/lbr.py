@@ -65,8 +65,8 @@ class LbrTarget:
         Why torques do not reach the arm, and KUKA's controller brakes it; empty if they do.
     """
 
-    def __init__(self, node: Node, arm: Arm, settings: LbrSettings, period: float, is_synchronous: bool) -> None:
-        """`period`: time between joint states, s; `is_synchronous`: whether the robot's clock is the nodes', too.
+    def __init__(self, node: Node, arm: Arm, settings: LbrSettings, period: float) -> None:
+        """`period`: time between joint states, s.
 
         Raises `SettingsError` if lbr_fri_idl is not installed, or the arm has not seven joints.
         """
@@ -83,7 +83,9 @@ class LbrTarget:
         self.problem = f"no state on {self._source.name} yet: start lbr_bringup, and LBRServer on the smartPAD"
         self.idle = self.problem
         self._node, self._settings, self._arm = node, settings, arm
-        self._period, self._is_synchronous = period, is_synchronous
+        self._period = period
+        self._is_simulated = bool(node.get_parameter("use_sim_time").value)
+        """Whether the robot's clock is everybody's."""
         self._sign = 1.0 if settings.torque_sign == "positive" else -1.0
         self._command = LBRTorqueCommand()
         self._q: Array | None = None
@@ -124,7 +126,7 @@ class LbrTarget:
             raise InputError(f"{self._source.name}: measured_joint_position = {q.tolist()}; expected finite values")
         robot_ns = message.time_stamp_sec * NANOSECONDS + message.time_stamp_nano_sec
         elapsed = (robot_ns - self._robot_ns) / NANOSECONDS
-        if robot_ns == self._robot_ns and not self._is_synchronous:
+        if robot_ns == self._robot_ns:
             return None
         if self._q is not None and 0.0 < elapsed <= _PAUSE_S:
             share = -math.expm1(-2.0 * math.pi * self._settings.velocity_cutoff * elapsed)
@@ -139,7 +141,7 @@ class LbrTarget:
 
         So the stamps have the robot's steps, not those with which messages arrive.
         """
-        if self._is_synchronous:
+        if self._is_simulated:
             return 0
         if abs(now_ahead_ns - self._ahead_ns) > _CLOCK_SET_NS:
             self._ahead_ns = now_ahead_ns

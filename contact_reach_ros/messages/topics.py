@@ -25,10 +25,10 @@ class Qos(NamedTuple):
 
 
 STREAM = Qos(1000)
-"""What publishers offer: reliable and deep, so that late recorders and lockstep lose nothing."""
+"""What publishers offer: reliable and deep, so that busy subscribers lose nothing."""
 
 KEPT_STREAM = Qos(4000, latched=True)
-"""A stream whose last four seconds late subscribers receive, for lockstep, where time begins without them.
+"""A stream whose last four seconds late subscribers receive, where time is simulated.
 
 On a busy machine a recorder may need seconds to discover a topic.
 """
@@ -90,7 +90,7 @@ CONTROLLER_INTAKE = Topic("intake/controller", Int64MultiArray, LATCHED_EVENTS)
 OBSERVER_INTAKE = Topic("intake/observer", Int64MultiArray, LATCHED_EVENTS)
 PLAN_STATISTICS = Topic("plan/statistics", DiagnosticArray)
 PLAN_REQUEST = Topic("plan/request", Float64MultiArray)
-LOCKSTEP_HORIZON = Topic("lockstep/horizon", Header, called="promises")
+LOCKSTEP_HORIZON = Topic("lockstep/horizon", Header, KEPT_STREAM, called="promises")
 
 ALL = tuple(value for value in list(vars().values()) if isinstance(value, Topic))
 """What a recorder writes."""

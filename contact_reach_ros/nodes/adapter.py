@@ -175,7 +175,7 @@ class AdapterNode(StoppableNode):
     def _make_target(self, chosen: AdapterSettings) -> EffortTarget | LbrTarget | FrankaTarget:
         settings: Any = self.settings[chosen.kind]
         if chosen.kind == LBR:
-            return LbrTarget(self, self.arm, settings, self.period, self.lockstep)
+            return LbrTarget(self, self.arm, settings, self.period)
         if chosen.kind == FRANKA:
             return FrankaTarget(self, self.arm, settings)
         return EffortTarget(self, self.arm, settings, chosen.gravity_compensation)

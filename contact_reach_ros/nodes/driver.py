@@ -8,7 +8,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -60,9 +59,8 @@ class DriverNode(ManagedNode):
         is_ending = lambda: self._stop.is_set() or not self.running  # noqa: E731
         self._lockstep = LockstepDriver(self._period_ns, participants, self.inbox.wait, is_ending)
         self._waits_for_goal = chosen.waits_for_goal
-        self._waits_for_command = self._was_commanded = False
-        """Whether no command has come since the last joint state, and whether any has ever come."""
-        self.write_state = self.make_writer(self.STATES)
+        self._waits_for_command = False
+        """Whether no command has come since the last joint state."""
         self._write_contacts = self.make_writer(topics.SIM_CONTACTS)
         self._obstacles = self.make_publisher(topics.OBSTACLES)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
@@ -72,9 +70,11 @@ class DriverNode(ManagedNode):
         self.offer("~/reset", self._answer_reset)
         self.offer("~/stop", self._answer_stop)
         self.inbox.add(self.COMMANDS, self._on_command, self.stream_qos, serialized=True)
+        # Last: nodes that hear it hear everything else.
+        self.write_state = self.make_writer(self.STATES)
         if self.lockstep:
-            self.inbox.add(topics.LOCKSTEP_HORIZON, self._lockstep.hear, topics.STREAM)
             self.inbox.add(topics.GOAL_STATE, self._on_goal_state)
+            self.inbox.add(topics.LOCKSTEP_HORIZON, self._lockstep.hear)
         self._scene = make_scene(read_scene(chosen.scene), self.arm, chosen.seed, parse_target(chosen.target))
         own = self.settings
         self.robot = SimulatedRobot(self._scene, watchdog=own["watchdog"], period=self.period)
@@ -141,12 +141,10 @@ class DriverNode(ManagedNode):
         self._publish(self.robot.read(), self.robot.shows_obstacles())
 
     def _lockstep_tick(self) -> None:
-        # To look again would draw other noise.
-        repeat = partial(self._publish, self.robot.read(), self.robot.shows_obstacles())
-        repeat()
         if self.robot.plant.steps == 0:
-            self._lockstep.begin(lambda: self._was_commanded, repeat)
-        self._lockstep.wait()
+            self._lockstep.begin()
+        self._publish(self.robot.read(), self.robot.shows_obstacles())
+        self._lockstep.wait(self.robot.now_ns)
         # Commands that came before the last promise, but after they were looked for.
         self.inbox.poll()
         self._lockstep.stand_still(lambda: self._waits_for_goal and self.robot.is_open)
@@ -191,7 +189,6 @@ class DriverNode(ManagedNode):
 
     def _publish_states(self, states: list[JointState]) -> None:
         for state in states:
-            self._lockstep.expect(state.stamp_ns)
             self._waits_for_command = True
             self._published_ns = time.time_ns()
             self.publish_state(state)
@@ -210,7 +207,7 @@ class DriverNode(ManagedNode):
 
     def _on_command(self, data: bytes) -> None:
         if self._waits_for_command:
-            self._waits_for_command, self._was_commanded = False, True
+            self._waits_for_command = False
             self._round_trip.add(max(self.inbox.received_ns - self._published_ns, 0))
         if self.rivals:
             raise InputError(f"{self.rivals}: no command is taken; end the others")

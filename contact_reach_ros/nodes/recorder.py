@@ -26,7 +26,7 @@ from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.topics import Qos, Topic
 from contact_reach_ros.resources import versions
 from contact_reach_ros.ros.inbox import LoopGroup, qos_profile
-from contact_reach_ros.ros.lockstep import FOREVER_NS
+from contact_reach_ros.ros.lockstep import FOREVER_NS, promise
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.timing import NANOSECONDS
@@ -51,7 +51,8 @@ class RecorderNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__()
-        self._lockstep = self.make_lockstep()
+        self._promises = self.make_publisher(topics.LOCKSTEP_HORIZON) if self.lockstep else None
+        self._promised_ns = 0
         self._recorder: TopicRecorder | None = None
         self._next_discovery = self._next_flush = 0.0
         self._ended_early = ""
@@ -97,9 +98,7 @@ class RecorderNode(ManagedNode):
             self._next_discovery = now + DISCOVERY_PERIOD
             recorder.discover()
         recorder.drain()
-        if recorder.stamp_ns is not None:
-            # Each time: the driver may not have heard the first ones.
-            self._lockstep.promise(min(recorder.stamp_ns + AHEAD_NS, FOREVER_NS))
+        self._promise(recorder.stamp_ns + AHEAD_NS)
         if now >= self._next_flush:
             self._next_flush = now + FLUSH_PERIOD
             recorder.flush()
@@ -108,6 +107,12 @@ class RecorderNode(ManagedNode):
                 # Others need the disk as well, and the end of a recording is not a reason to stop the arm.
                 self.get_logger().error(f"the recording ends here: {self._ended_early}")
                 self._complete()
+
+    def _promise(self, until_ns: int) -> None:
+        """Let simulated time pass until then."""
+        if self._promises is not None and until_ns != self._promised_ns:
+            self._promised_ns = until_ns
+            self._promises.publish(promise(self.NAME, min(until_ns, FOREVER_NS)))
 
     def deactivate(self) -> None:
         """Write what is still in transit and complete the bag; raises `BagError` if writing fails."""
@@ -118,7 +123,7 @@ class RecorderNode(ManagedNode):
         recorder, self._recorder = self._recorder, None
         if recorder is None:
             return
-        self._lockstep.promise(FOREVER_NS)
+        self._promise(FOREVER_NS)
         recorder.stop()
         written, directory = recorder.writer.message_count, recorder.writer.directory
         size = sum(file.stat().st_size for file in directory.iterdir()) / MEGA
@@ -192,12 +197,12 @@ class TopicRecorder:
     Attributes
     ----------
     stamp_ns :
-        Of the last joint state that is in the bag; None before the first.
+        Of the last joint state that is in the bag; 0 before the first.
     """
 
     def __init__(self, node: Node, writer: BagWriter) -> None:
         self.writer = writer
-        self.stamp_ns: int | None = None
+        self.stamp_ns = 0
         self._node = node
         # Waking up for every message costs ten times as much as taking those gathered in 20 ms.
         self._group = LoopGroup()
@@ -271,7 +276,7 @@ class TopicRecorder:
     def _subscribe(self, name: str, topic: Topic, offered: Sequence[QoSProfile]) -> None:
         """Request the strictest quality of service that every publisher offers, and has offered so far.
 
-        Streams are latched in lockstep only, and the driver of a real arm may offer best effort.
+        Streams are latched where time is simulated only, and the driver of a real arm may offer best effort.
         """
         before = self._recorded.get(name)
         least = Qos(HISTORY_DEPTH, latched=True) if before is None else before.qos

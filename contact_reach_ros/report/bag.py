@@ -96,7 +96,7 @@ class ReportBag:
         """Where the bag comes from, in a few words: scene, seed, kind of time and number of messages."""
         kept = self.reader.custom_data
         words = [f"{key} {kept[key]}" for key in ("scene", "seed") if key in kept]
-        words.append("lockstep" if "/clock" in self.reader.topics else "real time")
+        words.append("simulated time" if "/clock" in self.reader.topics else "real time")
         words.append(f"{self.reader.message_count} messages")
         words += [f"{kept['messages_lost']} lost"] if "messages_lost" in kept else []
         return ", ".join(words)

@@ -28,7 +28,6 @@ _T = TypeVar("_T")
 
 _PATIENCE_S = 2.0
 _HOLD_NS = 100_000_000
-_LONGEST_HOLD_S = 10.0
 
 LARGEST_SCENE = 1 << 22
 """Bytes of a message with obstacles or other markers, for nodes without a loop that others wait for."""
@@ -126,8 +125,8 @@ class Inbox:
         serialized
             Whether `handle` receives the bytes instead of a message object, whose construction takes most of the time.
         ready
-            Called with each message, which is held back until it returns True, for ten seconds at most. Messages of
-            other topics are handled meanwhile, and all that have come when it does.
+            Called with each message, which is held back until it returns True. Messages of other topics are handled
+            meanwhile, and all that have come when it does.
         hurried
             Whether a message wakes the thread up. An unhurried one is handled after the next message of another topic,
             or at the end of the wait, so that one that takes long does not delay the others.
@@ -261,8 +260,7 @@ class Inbox:
     def _hold_back(self, ready: Callable[[bytes], bool], data: bytes) -> None:
         """Handle messages of other topics, and tasks, until a message of this topic may be handled."""
         others = [other for other in (*self._subscriptions, *self._unhurried) if other.ready is None]
-        deadline = time.monotonic() + _LONGEST_HOLD_S
-        while not ready(data) and time.monotonic() < deadline:
+        while not ready(data):
             self._sleep(others, _HOLD_NS)
             self.run_tasks()
             for other in others:

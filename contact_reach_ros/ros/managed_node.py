@@ -26,7 +26,6 @@ from contact_reach_ros.messages.topics import (
     LOCKSTEP_HORIZON,
     NEWEST,
     SETTINGS,
-    STREAM,
     Qos,
     Topic,
 )
@@ -82,6 +81,10 @@ class ManagedNode(LifecycleNode):
         self.lockstep = bool(self.get_parameter(_SIMULATED).value)
         self.set_descriptor(_SIMULATED, ParameterDescriptor(read_only=True, dynamic_typing=True))
         self._simulated_ns = 0
+        self._turns: Lockstep | None = None
+        """Made when the node is configured, if it follows the joint states in lockstep."""
+        self._waits_for: Sequence[str] | None = None
+        """Nodes that it waits for then, besides those that every stack has; None if it follows none."""
         self._bare_arm = load_arm(robot)
         self.period = 1.0 / rate
         self.settings = declare(self, {**EVERY_SECTION, **self.SECTIONS}, self._bare_arm)
@@ -143,7 +146,7 @@ class ManagedNode(LifecycleNode):
         """Return a function that publishes serialised messages of a topic, for the loop of an active node.
 
         It bypasses the checks of lifecycle publisher, context and type, which take as long as the loop's arithmetic.
-        In lockstep, where time begins without them, late subscribers receive the last seconds.
+        In lockstep late subscribers receive the last seconds.
         """
         kept = topic._replace(qos=KEPT_STREAM) if self.lockstep else topic
         write: Callable[[bytes], None] = self.make_publisher(kept).handle.publish_raw
@@ -166,13 +169,8 @@ class ManagedNode(LifecycleNode):
 
     @property
     def stream_qos(self) -> Qos:
-        """What to request for joint states and commands: the newest, or in lockstep every one."""
-        return STREAM if self.lockstep else NEWEST
-
-    def make_lockstep(self, after: Sequence[str] = ()) -> Lockstep:
-        """The node's side of lockstep, which also waits for nodes named in `after`; in real time it does nothing."""
-        publish = self.make_publisher(LOCKSTEP_HORIZON).publish if self.lockstep else None
-        return Lockstep(self.NAME, round(self.period * NANOSECONDS), publish, after)
+        """What to request for joint states and commands: the newest, or in lockstep every one, as they are kept."""
+        return KEPT_STREAM if self.lockstep else NEWEST
 
     def follow(
         self, topic: Topic, handle: Callable[[bytes], None], hurried: bool = True, after: Sequence[str] = ()
@@ -180,6 +178,7 @@ class ManagedNode(LifecycleNode):
         """Subscribe to the joint states, which pace the node; `handle` gets their bytes.
 
         In lockstep a state waits for the node's turn, and others wait until it was handled, or refused.
+        Each is handled once.
 
         Parameters
         ----------
@@ -190,23 +189,33 @@ class ManagedNode(LifecycleNode):
         hurried
             As for `Inbox.add`; in lockstep every state wakes the loop up.
         after
-            As for `make_lockstep`.
+            Nodes that this one waits for in lockstep, besides those that every stack has.
         """
         if not self.lockstep:
             self.inbox.add(topic, handle, NEWEST, serialized=True, hurried=hurried)
             return
-        lockstep = self.make_lockstep(after)
+        self._waits_for = after
 
         def take(data: bytes) -> None:
+            assert self._turns is not None
             stamp_ns = self._simulated_ns = stamp_in(data)
             try:
                 handle(data)
             finally:
-                lockstep.done(stamp_ns)
+                self._turns.done(stamp_ns)
 
-        self.inbox.add(LOCKSTEP_HORIZON, lockstep.hear, STREAM)
-        ready = lambda data: self._stop.is_set() or lockstep.may_handle(stamp_in(data))  # noqa: E731
-        self.inbox.add(topic, take, STREAM, serialized=True, ready=ready)
+        def ready(data: bytes) -> bool:
+            assert self._turns is not None
+            return self._stop.is_set() or not self.running or self._turns.may_handle(stamp_in(data))
+
+        self.inbox.add(topic, take, self.stream_qos, serialized=True, ready=ready)
+
+    def take_part(self) -> None:
+        """In lockstep make publisher and subscription of promises: after all others, as `ros.lockstep` explains."""
+        if self._waits_for is not None and self._turns is None:
+            publish, tick_ns = self.make_publisher(LOCKSTEP_HORIZON).publish, round(self.period * NANOSECONDS)
+            self._turns = Lockstep(self.NAME, tick_ns, publish, self._waits_for)
+            self.inbox.add(LOCKSTEP_HORIZON, self._turns.hear)
 
     def log_intake(self, topic: Topic) -> IntakeLog:
         """Record from now on, for bags, what the inbox handles."""
@@ -262,6 +271,7 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run `configure`."""
+        self.take_part()
         return self._attempt(self.configure, super().on_configure, state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -272,6 +282,8 @@ class ManagedNode(LifecycleNode):
             # The loop does not look at its inbox yet.
             self.inbox.note(Taken.ACTIVATE)
             self.running = True
+            if self._turns is not None:
+                self._turns.join()
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:

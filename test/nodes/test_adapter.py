@@ -127,6 +127,7 @@ def test_a_second_commander_stops_it_until_it_has_gone(bench):
 
 @in_lockstep
 def test_in_lockstep_silence_is_measured_by_the_states(bench):
+    bench.node.trigger_configure()
     bench.state(1)
     bench.command(GRAVITY)
     for tick in range(2, 130):

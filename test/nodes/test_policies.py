@@ -38,9 +38,11 @@ def in_policies(name, node):
 
 
 def interface(name, mode):
-    """What a node, not yet configured, publishes, subscribes to, serves and calls."""
+    """What a node publishes, subscribes to, serves and calls."""
     with ros(*mode, "port:=0"):
         node = NODES[name]()
+        # As it does when it is configured.
+        node.take_part()
         kinds = ("publisher", "subscriber", "service", "client")
         found = [getattr(node, f"get_{kind}_names_and_types_by_node")(name, "/") for kind in kinds]
         node.destroy_node()

@@ -29,18 +29,19 @@ def controller():
     """In lockstep, with what it commands."""
     with ros(UNWATCHED, "use_sim_time:=true"):
         node = ControllerNode()
-        node.look_around()
+        node.trigger_configure()
+        node.trigger_activate()
         node.commands = []
         node._write_commands = node.commands.append
         yield node
 
 
-def test_in_lockstep_a_state_waits_for_what_the_observer_says_of_it(controller, monkeypatch):
-    others, heard = rclpy.create_node("others"), (topics.JOINT_STATES, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON)
-    state, safety, horizon = publishers = [
+def test_in_lockstep_a_state_waits_for_what_the_observer_says_of_it(controller):
+    others, states = rclpy.create_node("others"), topics.JOINT_STATES._replace(qos=topics.KEPT_STREAM)
+    heard = (states, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON)
+    state, safety, horizon = [
         others.create_publisher(topic.type, topic.name, qos_profile(topic.qos)) for topic in heard
     ]
-    wait_for(lambda: all(each.get_subscription_count() for each in publishers), 20, "the controller hears all")
     writer = joint_state_writer(ARM.joint_names, ARM.base_frame, ["position", "velocity"])
 
     def show(tick):
@@ -61,11 +62,27 @@ def test_in_lockstep_a_state_waits_for_what_the_observer_says_of_it(controller, 
     threading.Timer(0.5, say, (3, "too much torque")).start()
     show(3)
     assert controller._controller.stop_reason == "too much torque"
-    # One that has nothing to say any more holds it up for a while only.
-    monkeypatch.setattr("contact_reach_ros.ros.inbox._LONGEST_HOLD_S", 0.5)
-    started = time.monotonic()
-    show(4)
-    assert time.monotonic() - started > 0.4
+
+
+def test_a_state_that_waits_for_others_keeps_no_node_from_ending(controller):
+    others, states = rclpy.create_node("others"), topics.JOINT_STATES._replace(qos=topics.KEPT_STREAM)
+    publisher = others.create_publisher(states.type, states.name, qos_profile(states.qos))
+    publisher.publish(
+        joint_state_writer(ARM.joint_names, ARM.base_frame, ["position", "velocity"]).write(
+            HOME, REST, stamp_ns=TICK_NS
+        )
+    )
+    loop = threading.Thread(target=controller.loop)
+    loop.start()
+    wait_for(publisher.get_subscription_count, 20, "the controller has the state")
+    # Its stop is answered meanwhile.
+    time.sleep(0.5)
+    assert controller._answer_stop() == "compliant stop"
+    wait_for(lambda: controller.stop_reason, 20, "the stop")
+    assert controller.commands == []
+    controller.request_stop()
+    loop.join(20)
+    assert not loop.is_alive()
 
 
 def test_a_controller_that_commands_nothing_is_done_with_a_state_all_the_same(monkeypatch, controller):

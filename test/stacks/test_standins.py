@@ -68,7 +68,6 @@ def stack(kind, rate, lockstep, env, folder, scene="ball"):
         up.append("--lockstep")
     with running(up, env, output) as process:
         ready(process, output)
-        # Simulated time begins with the driver: nobody may miss its first state.
         with running(driver, env, drivers) as process:
             ready(process, drivers, "active")
             yield drivers
