@@ -31,7 +31,6 @@ class SimulatedRobot:
     def __init__(
         self,
         scene: Scene,
-        joints: JointSettings | None = None,
         watchdog: WatchdogSettings | None = None,
         noise_seed: int | None = None,
         period: float = TICK,
@@ -43,7 +42,7 @@ class SimulatedRobot:
         ----------
         scene
             Scene, with its mismatch.
-        joints, watchdog
+        watchdog
             Settings; None for the defaults.
         noise_seed
             Seed of sensor noise; None for the scene's.
@@ -59,7 +58,7 @@ class SimulatedRobot:
         """
         self._ticks = check_period(period)
         self.scene = scene
-        self.plant = Plant(scene, joints or JointSettings(), noise_seed, unknown)
+        self.plant = Plant(scene, JointSettings(), noise_seed, unknown)
         self.drive = Drive(self.plant, watchdog or WatchdogSettings())
         self.start_ns = 0
         has_mesh = any(obstacle.is_deformable for obstacle in scene.obstacles)
