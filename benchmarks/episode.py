@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks.baselines.method import Method
 from benchmarks.episode_result import EpisodeResult
+from benchmarks.faulty_robot import AnyFault, Fault, FaultyRobot, Vector
 from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.observer.budget import ContactBudget
@@ -22,9 +23,7 @@ from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.planner import ReplanningSettings
 from contact_reach_ros.planning.settings import UnexpectedContactSettings
-from contact_reach_ros.simulation.faults import AnyFault, Fault, Vector
 from contact_reach_ros.simulation.plant import TICK
-from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import WatchdogSettings
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.timing import NANOSECONDS
@@ -117,7 +116,7 @@ class Silent(Fault):
             raise SettingsError(f"{self}: expected driver, controller, observer or planner")
 
 
-class EpisodeRobot(SimulatedRobot):
+class EpisodeRobot(FaultyRobot):
     """A robot that is `Silent` at times.
 
     It calls `after_tick` after each tick of the physics, of which there may be several between joint states.
@@ -130,7 +129,7 @@ class EpisodeRobot(SimulatedRobot):
         return self.faults is not None and any(fault.node == node for fault in self.faults.active(Silent, self.now_ns))
 
     def read(self) -> list[JointState]:
-        """As `SimulatedRobot.read`; none of a silent driver."""
+        """As `FaultyRobot.read`; none of a silent driver."""
         if self.is_silent("driver"):
             # The noise is drawn all the same.
             self.plant.read()

@@ -9,11 +9,11 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 
 from benchmarks.episode_result import EpisodeResult
+from benchmarks.faulty_robot import Fault, Push, RivalCommands
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.control.supervisor import STOP_TIME
-from contact_reach_ros.simulation.faults import Fault, Push, RivalCommands
 from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.timing import PAUSE
 

@@ -8,12 +8,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks import faulty_robot as faults
 from benchmarks.episode import Silent, WrongPlans
+from benchmarks.faulty_robot import Fault
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.scenes.placing import free_path, path_segments
-from contact_reach_ros.simulation import faults
-from contact_reach_ros.simulation.faults import Fault
 from contact_reach_ros.world.collision import overlap_depths
 from contact_reach_ros.world.scene import Scene
 

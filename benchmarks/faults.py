@@ -14,6 +14,7 @@ from benchmarks.baselines.scripted import ScriptedPlanner
 from benchmarks.episode import EpisodeOptions, run_episode
 from benchmarks.fault_checks import BOUNDS, LINGER, bounds_used, end_of, violations
 from benchmarks.fault_draws import random_faults
+from benchmarks.faulty_robot import Fault
 from benchmarks.grid import Setup, prepared
 from benchmarks.output import Report, command_line, given, machine, run_command, say, table, write_report
 from benchmarks.paper import METHOD
@@ -24,7 +25,6 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.simulation.faults import Fault
 from contact_reach_ros.world.scene_file import read_scene
 
 SCENES = ("free", "ball")

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 
 VERSION = "0.3.0"
 
-_FAULTS = (
-    "inject faults in Python with SimulatedRobot(scene, faults=[...]), see docs/faults.md; kill -STOP freezes a node"
-)
+_FAULTS = "inject faults in Python, in a checkout of the repository, see docs/faults.md; kill -STOP freezes a node"
 _CHECKOUT = "run it in a checkout of the repository: make bench NAME="
 _MEASURED_ONCE = "its results are in benchmarks/README.md"
 _MEASURED = "leave it out: it belonged to torque_source: commanded, which is gone"

@@ -12,6 +12,7 @@ from arm_simulation import ARM, HOME, TICK_NS
 from plans import StayingCore
 
 from benchmarks.episode import EpisodeRobot, Silent
+from benchmarks.faulty_robot import FaultyRobot, NotFinite
 from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
@@ -21,7 +22,6 @@ from contact_reach_ros.planning.plan import PlanningCore
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.scenes.generate import load_scene
-from contact_reach_ros.simulation.faults import NotFinite
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stack import Stack, Tick
 from contact_reach_ros.world.goal import FREE, Goal
@@ -262,7 +262,7 @@ class TestFaults:
     """A robot with faults sends on purpose what others must not; it is refused and counted."""
 
     def test_joint_states(self):
-        robot = SimulatedRobot(FREE_SCENE, faults=[NotFinite("states", "position", share=0.3)], noise_seed=0)
+        robot = FaultyRobot(FREE_SCENE, [NotFinite("states", "position", share=0.3)], noise_seed=0)
         stack = Stack(FREE_SCENE, planner=StayingCore(), robot=robot)
         stack.settle()
         robot.start_faults()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -26,12 +25,12 @@ from contact_reach_ros.settings import ROBOT as ROBOT_PARAMETER
 DEFAULT_ARM = str(ROBOT_PARAMETER.default)
 ROBOT, ROBOT_DIGEST, ROBOT_TABLE = "robot", "robot digest", "robot table"
 """Names under which nodes report their arm."""
-EARLIER_DIGESTS = {"fb09104480dee5b5": ("a1afed95948d1e7c", "f4d510c0cfa2a199")}
-"""Digests of arms in bags of earlier versions, where rounding errors were part of them, by the present ones."""
+EARLIER_DIGESTS = {"b9910d2d7c624b0e": ("fb09104480dee5b5", "a1afed95948d1e7c", "f4d510c0cfa2a199")}
+"""Digests that arms had in bags of earlier versions, which told 0 from 0.0, by the present ones."""
 ENDINGS = (".urdf", ".yaml", ".yml")
 """Of files that hold arms."""
 _FOLDER = Path(__file__).parent
-ARMS = tuple(sorted(file.stem for file in _FOLDER.iterdir() if file.suffix in (".py", ".yaml") and file.stem[0] != "_"))
+ARMS = tuple(sorted(file.stem for file in _FOLDER.glob("*.yaml")))
 """Names that `load_arm` takes: those of the tables in this folder."""
 TOOL = "tool"
 EVERY_SECTION: Sections = {TOOL: Tool}
@@ -39,7 +38,6 @@ EVERY_SECTION: Sections = {TOOL: Tool}
 TOOL_PARAMETERS = tuple(full_name(TOOL, entry.name) for entry in Tool.declared())
 
 
-@functools.cache
 def load_arm(name: str = DEFAULT_ARM) -> Arm:
     """Load an arm by its name, or from a file; each call returns the same object.
 
@@ -53,6 +51,12 @@ def load_arm(name: str = DEFAULT_ARM) -> Arm:
     SettingsError
         If there is no such arm, with the names of those that there are; or as `read_arm_file`.
     """
+    # Also the same object for the default and its name.
+    return _load(name)
+
+
+@functools.cache
+def _load(name: str) -> Arm:
     if name.endswith(ENDINGS):
         # It loads what reads meshes, which the arms of the package do without.
         from contact_reach_ros.arm.urdf_reader import read_arm_file
@@ -61,10 +65,8 @@ def load_arm(name: str = DEFAULT_ARM) -> Arm:
     if name not in ARMS:
         names = ", ".join(ARMS)
         raise SettingsError(f"arm '{name}' is unknown; expected one of {names}, or the path of a URDF or YAML file")
-    if (table := _FOLDER / f"{name}.yaml").is_file():
-        return arm_of_table(read_yaml(table), str(table))
-    arm: Arm = importlib.import_module(f"{__name__}.{name}").ARM
-    return arm
+    table = _FOLDER / f"{name}.yaml"
+    return arm_of_table(read_yaml(table), str(table))
 
 
 def is_shipped(arm: Arm) -> bool:

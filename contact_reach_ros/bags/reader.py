@@ -31,13 +31,6 @@ class RawMessage(NamedTuple):
     sequence: int
 
 
-class BagMessage(NamedTuple):
-    """A decoded message: fields by attribute, number sequences as arrays."""
-
-    topic: str
-    message: Any
-
-
 class BagReader:
     """A recorded bag: a directory as rosbag2 makes it, or one mcap file.
 
@@ -107,19 +100,16 @@ class BagReader:
             for name, message in file.messages(wanted, start_ns):
                 yield RawMessage(name, message.log_time, message.publish_time, message.data, message.sequence)
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
-        """Yield messages of some topics, or of all, decoded by the definitions in the bag itself.
-
-        Topics and messages that cannot be decoded are left out; `notes` reports them afterwards. Raises `BagError` if
-        the bag has no such topic.
-        """
-        for raw in self.raw_messages(topics):
-            decoded = self.decode(raw)
-            if decoded is not None:
-                yield BagMessage(raw.topic, decoded)
+    def messages(self, topic: str) -> Iterator[Any]:
+        """The messages of a topic, which the bag may lack; those that `decode` cannot decode are left out."""
+        decoded = map(self.decode, self.raw_messages({topic} & self.topics.keys()))
+        return (message for message in decoded if message is not None)
 
     def decode(self, raw: RawMessage) -> Any:
-        """Decode a message; returns None if that fails, which `notes` reports afterwards."""
+        """Decode a message by the definitions in the bag itself: fields by attribute, number sequences as arrays.
+
+        Returns None if that fails, which `notes` reports afterwards.
+        """
         return self._decoder.decode(raw.topic, raw.data)
 
     def _open(self, paths: Sequence[Path]) -> list[McapFile]:

@@ -200,8 +200,7 @@ class EpisodeSignals:
 
 def arm_of_bag(bag: BagReader) -> Arm:
     """The arm that the nodes of a bag had, with its last tool; raises `BagError` as `recorded_arm`."""
-    topics = {f"/{SETTINGS}"} & bag.topics.keys() if SETTINGS not in _of_other_types(bag) else set()
-    statuses = (item.message for item in bag.messages(topics))
+    statuses = () if SETTINGS in _of_other_types(bag) else bag.messages(f"/{SETTINGS}")
     return recorded_arm({status.name: read_settings(status) for status in statuses})
 
 

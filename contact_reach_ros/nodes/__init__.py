@@ -1,4 +1,4 @@
-"""ROS 2 nodes; the only part of the package that imports rclpy."""
+"""ROS 2 nodes, one file each: messages in, messages out."""
 
 import os
 

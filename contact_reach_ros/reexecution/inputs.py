@@ -101,7 +101,7 @@ class RecordedInputs:
 
     def __init__(self, bag: BagReader) -> None:
         self.bag = bag
-        self.settings = {status.name: read_settings(status) for status in self.messages(SETTINGS)}
+        self.settings = {status.name: read_settings(status) for status in bag.messages(f"/{SETTINGS}")}
         self.arm = recorded_arm(self.settings)
         joints = self.arm.n
         columns: dict[str, Collector] = {
@@ -156,13 +156,6 @@ class RecordedInputs:
         kept = self._plain[name]
         if sent_ns in kept:
             yield from (kept[each].data for each in sorted(kept) if each <= sent_ns)
-
-    def messages(self, name: str) -> Iterator[Any]:
-        """The decoded messages of a topic, which the bag may lack."""
-        topic = f"/{name}"
-        if topic in self.bag.topics:
-            for item in self.bag.messages([topic]):
-                yield item.message
 
     def safety_reasons(self, node: str) -> list[str]:
         """Why a node stopped the arm, each time once, in the order of the bag."""

@@ -96,12 +96,12 @@ class RecordedPlans:
         self._path = inputs.bag.path
         self.statistics: dict[int, dict[str, str]] = {}
         self._effects: dict[int, int] = {}
-        for message in inputs.messages("plan/statistics"):
+        for message in inputs.bag.messages("/plan/statistics"):
             for status in message.status:
                 values = {entry.key: entry.value for entry in status.values}
                 number = int(values.get("plan", "0"))
                 self.statistics[number], self._effects[number] = values, nanoseconds(message.header.stamp)
-        requests = (split_array(message) for message in inputs.messages("plan/request"))
+        requests = (split_array(message) for message in inputs.bag.messages("/plan/request"))
         self._requests: dict[int, Parts] = {int(parts["plan"][0]): parts for parts in requests if "plan" in parts}
         if not self.numbers:
             raise BagError(
@@ -158,12 +158,12 @@ class RecordedPlans:
         """Differences of the plan with the recorded solution, by the names of `TOLERANCES`."""
         cost, effect_ns = float(self.statistics[number]["cost"]), self._effects[number]
         found = {"cost": abs(plan.cost - cost) / max(abs(cost), _LEAST_COST)}
-        for message in self._inputs.messages("reference/pose"):
+        for message in self._inputs.bag.messages("/reference/pose"):
             if nanoseconds(message.header.stamp) == effect_ns:
                 positions, rotations = read_poses(message)
                 found["positions"] = _largest(positions - plan.positions)
                 found["rotations"] = _largest(rotations - plan.rotations)
-        for message in self._inputs.messages("reference/posture"):
+        for message in self._inputs.bag.messages("/reference/posture"):
             if nanoseconds(message.header.stamp) == effect_ns:
                 postures = read_postures(message, self._inputs.arm.joint_names)
                 found["postures"] = _largest(postures - plan.postures)

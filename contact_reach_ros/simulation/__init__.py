@@ -1,1 +1,1 @@
-"""The simulated robot: MuJoCo with contact, sensors, friction, brakes and faults."""
+"""The simulated robot: MuJoCo with contact, sensors, friction and brakes."""

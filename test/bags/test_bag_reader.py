@@ -47,8 +47,8 @@ def test_topics_of_a_stack_go_without_its_namespace(tmp_path: Path) -> None:
     assert set(BagReader(bag).topics) == {*own, *others}
     reader = BagReader(bag, of_stack=True)
     assert set(reader.topics) == {"/joint_states", "/safety_state", "/goal/state", *others}
-    (read,) = reader.messages(["/goal/state"])
-    assert (read.topic, read.message.data) == ("/goal/state", "/a/left/goal/state")
+    (read,) = reader.messages("/goal/state")
+    assert read.data == "/a/left/goal/state"
 
 
 def test_of_several_stacks_none_is_chosen(tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ def test_bag_in_several_files_without_metadata(tmp_path: Path) -> None:
     (first.directory / "first_2.mcap").touch()
     (first.directory / "metadata.yaml").unlink()
     reader = BagReader(first.directory)
-    assert reader.message_count == len(list(reader.messages())) == 100
+    assert reader.message_count == len(list(map(reader.decode, reader.raw_messages()))) == 100
     (note,) = reader.notes
     assert "first_2.mcap: is empty" in note
 
@@ -129,7 +129,8 @@ def test_damaged_file_gives_messages_or_an_error_that_names_it(
     path = tmp_path_factory.mktemp("damaged") / "damaged.mcap"
     path.write_bytes(content)
     try:
-        read = list(BagReader(path).messages())
+        reader = BagReader(path)
+        read = list(map(reader.decode, reader.raw_messages()))
     except BagError as error:
         assert "damaged.mcap" in str(error)
     else:
@@ -156,7 +157,7 @@ def test_what_cannot_be_decoded_does_not_keep_others_from_being_read(tmp_path: P
         writer.add_message(channels[1], 8, serialize_message(JointState())[:9], 8)
         writer.finish()
     reader = BagReader(path)
-    assert [item.message.data for item in reader.messages()] == ["1", "5"]
+    assert [text.data for name in reader.topics for text in reader.messages(name)] == ["1", "5"]
     notes = "\n".join(reader.notes)
     for topic, reason in {
         "/gain' is left out": "no clear definition",

@@ -132,10 +132,10 @@ def test_everything_published_is_in_the_bag(recorder: Recorder) -> None:
     counts.pop("/diagnostics", None)
     once = dict.fromkeys(("/robot_description", "/goal_pose", "/settings"), 1)
     assert counts == {"/joint_states": 600, "/effort_controller/commands": 600, **once}
-    positions = [item.message.position[0] for item in reader.messages(["/joint_states"])]
+    positions = [state.position[0] for state in reader.messages("/joint_states")]
     assert positions == [float(count) for count in range(600)]
-    (description,) = reader.messages(["/robot_description"])
-    assert description.message.data == "<robot/>"
+    (description,) = reader.messages("/robot_description")
+    assert description.data == "<robot/>"
     for raw in reader.raw_messages():
         assert 0 < raw.publish_time_ns <= raw.log_time_ns
     kept = reader.custom_data
@@ -162,8 +162,8 @@ def test_publisher_that_offers_less_is_heard_as_well(recorder: Recorder) -> None
         for _ in range(20):
             best_effort.publish(JointState(name=["best effort"]))
         recorder.until(lambda: topics.drain() or writer.message_count > 1, "messages")
-    read = BagReader(recorder.directory).messages(["/joint_states"])
-    assert {item.message.name[0] for item in read} == {"reliable", "best effort"}
+    read = BagReader(recorder.directory).messages("/joint_states")
+    assert {state.name[0] for state in read} == {"reliable", "best effort"}
 
 
 def test_killed_recorder_leaves_what_it_had_flushed(recorder: Recorder) -> None:
@@ -182,9 +182,7 @@ def test_killed_recorder_leaves_what_it_had_flushed(recorder: Recorder) -> None:
     recorder.until(lambda: flushed() == 50, "the messages in the file")
     recorder.end(signal.SIGKILL)
     reader = BagReader(recorder.directory)
-    assert [item.message.data for item in reader.messages(["/robot_description"])] == [
-        str(count) for count in range(50)
-    ]
+    assert [text.data for text in reader.messages("/robot_description")] == [str(count) for count in range(50)]
     assert reader.custom_data["seed"] == "5"
     assert len(reader.notes) == 1
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arm_simulation import ARM
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
@@ -11,7 +12,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from contact_reach_ros.arm import tip_positions
-from contact_reach_ros.arms.iiwa14 import ARM
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import EpisodeSignals, arm_of_bag, goal_distance, read_signals
 from contact_reach_ros.bags.topics import RecordedTopic

@@ -12,9 +12,9 @@ from benchmarks.episode_result import EpisodeResult
 from benchmarks.fault_checks import BOUNDS, End, bounds_used, end_of, speed_share, violations
 from benchmarks.fault_draws import DRAWS, random_faults
 from benchmarks.faults import fault_setup, run_with_faults, summary, text_of
+from benchmarks.faulty_robot import Payload, Push, RivalCommands, UnknownObstacle, WrongClock
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.simulation.faults import Payload, Push, RivalCommands, UnknownObstacle, WrongClock
 from contact_reach_ros.world.scene_file import read_scene
 
 NEAREST = {

@@ -10,7 +10,7 @@ from arm_simulation import ARM
 
 from benchmarks.episode import Silent, WrongPlans
 from benchmarks.fault_checks import TRANSIENT_FORCE, End, bounds_used, end_of, violations
-from contact_reach_ros.simulation.faults import (
+from benchmarks.faulty_robot import (
     Fault,
     Friction,
     Late,

@@ -5,11 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from conftest import CONTROLLER, scene, small_planner
 
+from benchmarks.faulty_robot import FaultyRobot, UnknownObstacle
 from contact_reach_ros.observer.observer import LEAST_FORCE
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.planning.settings import GIVE_WAY, IGNORE, UnexpectedContactSettings
-from contact_reach_ros.simulation.faults import UnknownObstacle
-from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.stack import Result, Stack
 from contact_reach_ros.world.goal import Goal
 
@@ -24,7 +23,7 @@ class Run(NamedTuple):
 
 def run(reaction: str) -> Run:
     hidden = UnknownObstacle((0.512, -0.075, 0.125), stiffness=500.0, at=0.2)
-    robot, forces = SimulatedRobot(scene("free"), faults=(hidden,)), []
+    robot, forces = FaultyRobot(scene("free"), (hidden,)), []
     settings = UnexpectedContactSettings(reaction=reaction)
     stack = Stack(
         scene("free"), controller=CONTROLLER, unexpected_contact=settings, planner=small_planner(), robot=robot

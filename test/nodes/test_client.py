@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from arm_simulation import ARM
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from stack_helpers import hand_in, ros
 
-from contact_reach_ros.arms.iiwa14 import ARM
 from contact_reach_ros.bringup import stack_processes
 from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackProcesses

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from arm_simulation import ARM
 from geometry_msgs.msg import WrenchStamped
 from hostile import garbage
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from contact_reach_ros.arms import iiwa14
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.conversions import to_time
 from contact_reach_ros.messages.serialized import (
@@ -20,7 +20,7 @@ from contact_reach_ros.messages.serialized import (
 )
 from contact_reach_ros.messages.values import nanoseconds
 
-NAMES = list(iiwa14.ARM.joint_names)
+NAMES = list(ARM.joint_names)
 STAMP_NS = 1_700_000_000_123_456_789
 
 

@@ -30,8 +30,9 @@ def test_a_plan_that_the_bag_lacks_is_refused_with_those_that_it_has(plans: Reco
 
 
 def test_plans_without_their_requests_need_the_version_that_recorded_them(plans: RecordedPlans) -> None:
-    inputs = copy.copy(plans._inputs)
-    inputs.messages = lambda name: iter(list(plans._inputs.messages(name))[:1] if name == "plan/statistics" else [])
+    inputs, bag = copy.copy(plans._inputs), plans._inputs.bag
+    inputs.bag = copy.copy(bag)
+    inputs.bag.messages = lambda name: iter(list(bag.messages(name))[:1] if name == "/plan/statistics" else [])
     with pytest.raises(BagError, match=r"sample': no plan .*expected plan/request.*with that version"):
         RecordedPlans(inputs)
 

@@ -23,7 +23,7 @@ class TestArm:
         assert recorded_arm({}) is ARM
 
     def test_name_and_digest_are_those_of_this_version_or_it_is_refused(self):
-        for digest in (ARM.digest, "a1afed95948d1e7c", "f4d510c0cfa2a199"):
+        for digest in (ARM.digest, "fb09104480dee5b5", "a1afed95948d1e7c", "f4d510c0cfa2a199"):
             assert recorded_arm({"controller": {"robot": ARM.name, "robot digest": digest}}) is ARM
         with pytest.raises(BagError, match=f"had digest 0123, this version's has {ARM.digest}"):
             recorded_arm({"controller": {"robot": ARM.name, "robot digest": "0123"}})

@@ -5,10 +5,7 @@ import pytest
 from arm_simulation import ARM, NO_FRICTION
 from arm_simulation import TICK_NS as MS
 
-from contact_reach_ros.arm import JointState
-from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.simulation.faults import (
+from benchmarks.faulty_robot import (
     Fault,
     Faults,
     Friction,
@@ -23,6 +20,9 @@ from contact_reach_ros.simulation.faults import (
     UnknownObstacle,
     WrongClock,
 )
+from contact_reach_ros.arm import JointState
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.simulation.plant import Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.scene import MismatchSettings, Scene

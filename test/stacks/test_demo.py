@@ -124,16 +124,16 @@ def test_the_bag_opens_with_the_mcap_library_and_lacks_no_topic_and_no_tick(ball
     # The stop at the end withdraws the plan in force.
     assert counts["/reference/pose"] == counts["/plan/path"] + 1 > 20
     # In lockstep each state comes once, and none is missing.
-    states = BagReader(bag).messages(["/joint_states"])
-    stamps = sorted(nanoseconds(state.message.header.stamp) for state in states)
+    states = BagReader(bag).messages("/joint_states")
+    stamps = sorted(nanoseconds(state.header.stamp) for state in states)
     assert len(stamps) > 1000 and set(np.diff(stamps)) == {1_000_000}
 
 
 def test_the_bag_tells_what_happened_to_the_goal(ball):
     _, report, bag = ball
     reader = BagReader(bag)
-    read = [read_goal_state(item.message) for item in reader.messages(["/goal/state"])]
-    (sent,) = (nanoseconds(item.message.header.stamp) for item in reader.messages(["/goal_pose"]))
+    read = [read_goal_state(message) for message in reader.messages("/goal/state")]
+    (sent,) = (nanoseconds(goal.header.stamp) for goal in reader.messages("/goal_pose"))
     phases = list(dict.fromkeys(state.phase for _, state in read))
     assert phases[:3] == [GoalPhase.ACCEPTED, GoalPhase.RUNNING, GoalPhase.REACHED]
     assert {stamp for stamp, _ in read} == {sent}
@@ -165,11 +165,9 @@ def recorded(bag):
 
     The bytes themselves may differ: the middleware leaves the padding of what it serializes as it finds it.
     """
-    found = {f"/{name}": [] for name in SAME}
+    reader = BagReader(bag)
     with np.printoptions(floatmode="unique", threshold=sys.maxsize):
-        for message in BagReader(bag).messages(found):
-            found[message.topic].append(repr(message.message))
-    return found
+        return {f"/{name}": list(map(repr, reader.messages(f"/{name}"))) for name in SAME}
 
 
 def test_a_run_beside_a_busy_program_is_the_same_to_the_last_digit(ball, killed):

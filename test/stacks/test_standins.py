@@ -118,9 +118,9 @@ def test_in_real_time_a_controller_that_stands_still_in_motion_leaves_the_arm_at
     assert said is not None, "the arm did not move"
     assert BRAKES[kind] in said and ("brakes closed: " in said) == bool(BRAKES[kind])
     bag = BagReader(max(tmp_path.glob("*/bag")))
-    said = [each.message for each in bag.messages(["/safety_state"]) if each.message.name == "adapter"]
+    said = [each for each in bag.messages("/safety_state") if each.name == "adapter"]
     assert next(each.message for each in said if each.level == ERROR).startswith("no command for")
-    speeds = [np.abs(each.message.velocity).max() for each in bag.messages(["/joint_states"])]
+    speeds = [np.abs(state.velocity).max() for state in bag.messages("/joint_states")]
     assert max(speeds) > MOVES
     # KUKA's driver reports nothing any more once its connection is closed.
     assert kind == "lbr" or max(speeds[-100:]) < RESTS

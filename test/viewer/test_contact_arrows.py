@@ -1,9 +1,9 @@
 """Where forces on the arm are drawn."""
 
 import numpy as np
+from arm_simulation import ARM
 
 from contact_reach_ros.arm import link_frames
-from contact_reach_ros.arms.iiwa14 import ARM
 from contact_reach_ros.messages.safety_state import OK, WARN
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.viewer.frame import Frame, SafetyStatus

@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from arm_simulation import ARM
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 
 from contact_reach_ros.arm import link_frames
-from contact_reach_ros.arms.iiwa14 import ARM
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import read_signals
 from contact_reach_ros.bags.topics import RecordedTopic

@@ -1,6 +1,6 @@
-"""Faults of the simulation: what goes wrong, when, and what it does to messages, robot and surroundings.
+"""A simulated robot with faults: what goes wrong, when, and what it does to messages, robot and surroundings.
 
-`SimulatedRobot(scene, faults=[Push("lbr_link_4", (0.0, 50.0, 0.0), at=2.0, duration=0.1)])` injects them.
+`FaultyRobot(scene, [Push("lbr_link_4", (0.0, 50.0, 0.0), at=2.0, duration=0.1)])` has some.
 """
 
 from __future__ import annotations
@@ -9,14 +9,16 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
 from contact_reach_ros.arm import Array, JointState
-from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.simulation.plant import Plant
+from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.timing import NANOSECONDS
+from contact_reach_ros.world.scene import Scene
 
 Vector = tuple[float, float, float]
 Item = TypeVar("Item")
@@ -302,3 +304,68 @@ def _arrivals(line: deque[tuple[int, Item]], now_ns: int) -> list[Item]:
     while line and line[0][0] <= now_ns:
         arrived.append(line.popleft()[1])
     return arrived
+
+
+class FaultyRobot(SimulatedRobot):
+    """A simulated robot whose commands, joint states and observations pass through faults.
+
+    Attributes
+    ----------
+    faults
+        Faults that are injected; None without any, so that they cost nothing.
+    """
+
+    def __init__(self, scene: Scene, faults: Sequence[Fault] = (), **options: Any) -> None:
+        """Build the robot at the scene's start.
+
+        Parameters
+        ----------
+        scene
+            Scene, with its mismatch.
+        faults
+            What goes wrong from `start_faults` on.
+        options
+            Of `SimulatedRobot`; `noise_seed` is the seed of the faults, too.
+
+        Raises
+        ------
+        SettingsError
+            As `SimulatedRobot`, or if the arm cannot have these faults.
+        """
+        hidden = next(((each.radius, each.stiffness) for each in faults if isinstance(each, UnknownObstacle)), None)
+        super().__init__(scene, unknown=hidden, **options)
+        noise_seed = options.get("noise_seed")
+        seed = scene.seed if noise_seed is None else noise_seed
+        self.faults = Faults(faults, seed, self.plant) if faults else None
+
+    def start_faults(self) -> None:
+        """Count the times of the faults from now on."""
+        if self.faults is not None:
+            self.faults.start(self.now_ns)
+
+    def command(self, torque: Array, clock_ns: int) -> None:
+        """As `SimulatedRobot.command`; with faults, commands travel first, and `step` returns refusals."""
+        if self.faults is not None:
+            self.faults.send_command(torque, self.now_ns)
+        else:
+            super().command(torque, clock_ns)
+
+    def _tick(self, clock_ns: int) -> list[InputError]:
+        refused = []
+        if self.faults is not None:
+            for torque in self.faults.commands(self.now_ns):
+                try:
+                    super().command(torque, clock_ns)
+                except InputError as error:
+                    refused.append(error)
+            self.faults.act(self.now_ns)
+        return [*refused, *super()._tick(clock_ns)]
+
+    def read(self) -> list[JointState]:
+        """The joint states that arrive now. Each call draws new sensor noise."""
+        (state,) = super().read()
+        return [state] if self.faults is None else self.faults.joint_states(state)
+
+    def shows_obstacles(self) -> bool:
+        """As `SimulatedRobot.shows_obstacles`, unless an observation gets lost."""
+        return super().shows_obstacles() and (self.faults is None or not self.faults.lose_obstacles(self.now_ns))
