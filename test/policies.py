@@ -11,8 +11,9 @@ from collections.abc import Collection
 from pathlib import Path
 from xml.etree import ElementTree
 
+from interfaces import INTERFACES, Interface
+
 from contact_reach_ros.bringup.processes import ENCLAVES
-from contact_reach_ros.ros.interfaces import INTERFACES, Interface
 
 FORMAT_VERSION = "0.2.0"
 """Of the policy language of SROS 2."""

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import pytest
 import yaml
+from interfaces import INTERFACES
 from stack_helpers import SMALL_PLANNER, parameter_file, ready, running
 from stack_helpers import environment as stack_environment
 
@@ -26,7 +27,6 @@ from contact_reach_ros.cli import _parser
 from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes import replay
 from contact_reach_ros.presets import SECTIONS
-from contact_reach_ros.ros.interfaces import INTERFACES
 from contact_reach_ros.ros.parameters import check_arguments, without_ros_arguments
 
 ROOT = Path(__file__).parents[1]

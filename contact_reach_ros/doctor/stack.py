@@ -33,7 +33,7 @@ from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
 from contact_reach_ros.ros.graph import full_name, node_of
-from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, DOCTOR, INTERFACES, MANAGED, VIEWER
+from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, DOCTOR, MANAGED, VIEWER
 from contact_reach_ros.ros.process import bare_node
 
 _NEEDED_NODES = ("controller", "observer", "planner")
@@ -280,7 +280,7 @@ def topic(graph: Graph, wanted: Topic) -> Finding:
         fix = f"let {_names(strange)} use {wanted.type_name}, or another topic"
     elif wanted in ALONE and len(publishers) > 1:
         found += f": {len(publishers)} publishers, expected one"
-        owners = [name for name, interface in INTERFACES.items() if wanted.name in interface.publishes]
+        owners = [name for name, published in MANAGED.items() if wanted.name in published]
         rivals = [endpoint.node for endpoint in publishers if endpoint.node.removeprefix("/") not in owners]
         fix = f"end {', '.join(rivals) or 'all but one'}, or remap its topic: the arm would receive all in turn"
     elif deaf:
@@ -288,7 +288,7 @@ def topic(graph: Graph, wanted: Topic) -> Finding:
         fix = "let the subscription ask for less (best effort, volatile), or the publisher offer more "
         fix += "(reliable, transient local)"
     elif wanted in _NEEDED_TOPICS and not publishers:
-        owners = [name for name, interface in MANAGED.items() if wanted.name in interface.publishes]
+        owners = [name for name, published in MANAGED.items() if wanted.name in published]
         fix = f"start {' or '.join(owners)}, or remap your topic to this name"
     return Finding(Verdict.FAIL if fix else Verdict.PASS, found, fix)
 

@@ -65,7 +65,7 @@ def rivalry(node: Node, exclusive: Iterable[Topic]) -> str:
     reasons = []
     for topic in exclusive:
         resolved = node.resolve_topic_name(topic.name)
-        owners = [name for name, interface in MANAGED.items() if topic.name in interface.publishes]
+        owners = [name for name, published in MANAGED.items() if topic.name in published]
         is_alone = topic in ALONE or not owners
         most = 1 if is_alone else len(owners)
         if is_alone and node.count_publishers(resolved) <= most:
@@ -99,7 +99,7 @@ def running(node: Node, planned: Collection[str], own: Collection[str] = ()) -> 
     found = {full_name(space, name) for name in (*planned, *_SUPERVISORS) if name in others}
     ours = {full_name(space, name) for name in planned}
     for topic in ALONE:
-        if any(topic.name in MANAGED[name].publishes for name in planned):
+        if any(topic.name in MANAGED[name] for name in planned):
             strangers = _names(node.get_publishers_info_by_topic(topic.name)) - ours
             found |= {f"{name} (on {topic.name})" for name in strangers}
     return sorted(found)

@@ -3,6 +3,7 @@
 import dataclasses
 
 import pytest
+from interfaces import INTERFACES
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from contact_reach_ros.doctor import stack
@@ -20,7 +21,7 @@ def endpoints(act):
     """The stack's own publishers or subscriptions by topic, as the nodes make them."""
     found = {}
     for topic in topics.ALL:
-        nodes = [name for name in STACK if topic.name in getattr(MANAGED[name], act)]
+        nodes = [name for name in STACK if topic.name in getattr(INTERFACES[name], act)]
         found[topic.name] = [Endpoint(f"/{name}", topic.type_name, qos_profile(topic.qos)) for name in nodes]
     return found
 

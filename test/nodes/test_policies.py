@@ -3,6 +3,7 @@
 from xml.etree import ElementTree
 
 import pytest
+from interfaces import INTERFACES
 from policies import policy
 from stack_helpers import ros
 
@@ -16,7 +17,7 @@ from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.nodes.recorder import RecorderNode
 from contact_reach_ros.nodes.viewer import ViewerNode
 from contact_reach_ros.resources import share_directory
-from contact_reach_ros.ros.interfaces import INTERFACES, MANAGED
+from contact_reach_ros.ros.interfaces import MANAGED
 
 CLASSES = (DriverNode, ControllerNode, ObserverNode, PlannerNode, AdapterNode, RecorderNode, ViewerNode)
 NODES = {node_class.NAME: node_class for node_class in CLASSES}

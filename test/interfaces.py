@@ -1,0 +1,121 @@
+"""Topics and services of every node: the stack's graph as it should be, which the security policies are made from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.topics import Topic
+from contact_reach_ros.ros.interfaces import (
+    ADAPTER,
+    DOCTOR,
+    HEARD_BY_VIEWER,
+    MANAGED,
+    OPERATOR,
+    RECORDER,
+    REPLAY,
+    STOPPABLE,
+    VIEWER,
+)
+
+
+@dataclass(frozen=True)
+class Interface:
+    """Permitted topics and services of one node; names are relative to its namespace, '~' stands for the node.
+
+    Attributes
+    ----------
+    publishes, subscribes
+        Topics.
+    serves
+        Services offered.
+    calls
+        Services of other nodes used.
+    """
+
+    publishes: frozenset[str]
+    subscribes: frozenset[str]
+    serves: frozenset[str]
+    calls: frozenset[str] = frozenset()
+
+
+_MANAGED_SERVICES = [
+    "~/describe_parameters",
+    "~/get_parameter_types",
+    "~/get_parameters",
+    "~/list_parameters",
+    "~/set_parameters",
+    "~/set_parameters_atomically",
+    "~/change_state",
+    "~/get_available_states",
+    "~/get_available_transitions",
+    "~/get_state",
+    "~/get_transition_graph",
+]
+_STOP = {"~/stop", "~/reset"}
+_STOP_AND_RESET = [f"{name}/{service}" for name in STOPPABLE for service in ("stop", "reset")]
+_EVERY_NODE_PUBLISHES = {"/parameter_events", "/rosout"}
+"""Absolute, as ROS has them."""
+
+_REFERENCES = [topics.REFERENCE_POSE, topics.REFERENCE_POSTURE]
+_PACE = [topics.JOINT_STATES, topics.LOCKSTEP_HORIZON]
+"""Heard by nodes that follow the joint states; in simulated time they promise on the second as well."""
+
+
+def _node(
+    publishes: Iterable[str], subscribes: Iterable[Topic], serves: Iterable[str] = (), calls: Iterable[str] = ()
+) -> Interface:
+    return Interface(
+        frozenset({*_EVERY_NODE_PUBLISHES, *publishes}),
+        frozenset(topic.name for topic in subscribes),
+        frozenset({"~/get_type_description", *serves}),
+        frozenset(calls),
+    )
+
+
+def _managed(
+    name: str, subscribes: Iterable[Topic], serves: Iterable[str] = (), calls: Iterable[str] = ()
+) -> Interface:
+    """A lifecycle node; all others have no parameters that could be asked for."""
+    node = _node(MANAGED[name], [*subscribes, topics.CLOCK], [*_MANAGED_SERVICES, *serves], calls)
+    return replace(node, publishes=node.publishes | {"~/transition_event"})
+
+
+_LIFECYCLE = (
+    _managed("driver", [topics.COMMANDS, topics.LOCKSTEP_HORIZON, topics.GOAL_STATE], _STOP),
+    _managed("controller", [*_PACE, *_REFERENCES, topics.SAFETY_STATE, topics.SETTINGS], _STOP),
+    _managed("observer", _PACE, _STOP),
+    _managed("planner", [*_PACE, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE]),
+    _managed(
+        ADAPTER,
+        [*_PACE, topics.ADAPTER_COMMANDS, topics.SETTINGS],
+        _STOP,
+        [
+            "effort_controller/get_parameters",
+            *(f"controller_manager/{service}" for service in ("list_controllers", "switch_controller")),
+        ],
+    ),
+    _managed(RECORDER, topics.ALL),
+    _managed(VIEWER, HEARD_BY_VIEWER, calls=_STOP_AND_RESET),
+)
+
+INTERFACES = {
+    **dict(zip(MANAGED, _LIFECYCLE, strict=True)),
+    "bringup": _node([], [topics.JOINT_STATES], [], [*(f"{name}/get_state" for name in MANAGED), "controller/stop"]),
+    DOCTOR: _node(
+        [],
+        topics.ALL,
+        calls=[
+            *(f"{name}/get_state" for name in MANAGED),
+            *(f"effort_controller/{service}" for service in ("get_parameters", "list_parameters")),
+        ],
+    ),
+    OPERATOR: _node(
+        [topics.GOAL_POSE.name],
+        [topics.GOAL_STATE, topics.SAFETY_STATE, topics.DIAGNOSTICS, topics.SETTINGS, topics.JOINT_STATES],
+        calls=[*_STOP_AND_RESET, "planner/set_parameters_atomically"],
+    ),
+    REPLAY: _node([f"{REPLAY}/{topic.name}" for topic in topics.ALL], []),
+}
+"""All nodes of the package, by name."""
