@@ -25,8 +25,7 @@ from benchmarks.recorded_plans import RecordedPlan, record_plans
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.control.follower import blend
-from contact_reach_ros.control.references import Reference
+from contact_reach_ros.control.references import Reference, Way
 from contact_reach_ros.control.settings import AXIS, ImpedanceSettings
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.settings import PIPELINES, PlanningSettings
@@ -108,7 +107,7 @@ def simulate(
         force = np.zeros(len(plant.arm.contact_links))
         for tick in range(round(PlanningSettings().knot_duration / TICK)):
             share = min(1.0, tick * TICK / gains.reference_ramp) if gains.reference_ramp else 1.0
-            reference = blend(before, knot, share)
+            reference = Way(before, knot).at(share)
             model.update(q, v)
             error = pose_error(model.position, model.rotation, reference, gains.task)
             plant.step(law.torque(model, v, q - reference.posture, error) + model.bias)

@@ -6,8 +6,7 @@ import math
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.kernels import between, turned
-from contact_reach_ros.control.references import Reference, ReferenceQueue
+from contact_reach_ros.control.references import Reference, ReferenceQueue, Way
 from contact_reach_ros.control.settings import AXIS, POSITION, ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -15,8 +14,8 @@ from contact_reach_ros.timing import NANOSECONDS
 class Follower:
     """Follows the plan in force; without one it holds the arm where it is.
 
-    From knot to knot the reference moves within `reference_ramp`. When a plan ends, runs out or is dropped, the hold
-    begins at the measured pose at once, so that the arm presses no harder than it did.
+    From knot to knot the reference moves within `reference_ramp`, rotations along the shortest arc. When a plan ends,
+    runs out or is dropped, the hold begins at the measured pose at once, so that the arm presses no harder than it did.
 
     Attributes
     ----------
@@ -36,9 +35,8 @@ class Follower:
         self._task = impedance.task
         self._limits = limits
         self._ramp_ns = round(impedance.reference_ramp * NANOSECONDS)
-        self._target: Reference | None = None
-        """The knot to which the reference is moving, or has moved; None while a pose is held."""
-        self._from: Reference | None = None
+        self._way: Way | None = None
+        """To the knot to which the reference is moving, or has moved; None while a pose is held."""
         self._since_ns = 0
         """Since when the target or the hold has been in force."""
 
@@ -69,7 +67,7 @@ class Follower:
         if too_far:
             self.queue.drop(f"plan dropped: {too_far}; plan from the arm's state, or raise the limit")
         if knot is None or too_far:
-            if self._target is not None or self.reference is None:
+            if self.follows or self.reference is None:
                 self._hold(model, q, now_ns)
         else:
             self.had_plan = True
@@ -80,7 +78,12 @@ class Follower:
     @property
     def follows(self) -> bool:
         """Whether the last tick followed a plan."""
-        return self._target is not None
+        return self._way is not None
+
+    @property
+    def _target(self) -> Reference | None:
+        """The knot that was followed last; None while a pose is held."""
+        return None if self._way is None else self._way.end
 
     def held_for(self, now_ns: int) -> float:
         """Time since the last plan, s; 0 while one is followed."""
@@ -92,17 +95,16 @@ class Follower:
 
     def _hold(self, model: RobotModel, q: Array, now_ns: int) -> None:
         self.reference = Reference(model.position.copy(), model.rotation.copy(), q.copy())
-        self._target, self._since_ns = None, now_ns
+        self._way, self._since_ns = None, now_ns
 
     def _move_to(self, target: Reference, now_ns: int) -> None:
         """Set the reference on the way from the last one to the knot in force; a step would jerk the arm."""
         if target is not self._target:
-            self._from, self._since_ns, self._target = self.reference or target, now_ns, target
+            self._way, self._since_ns = Way(self.reference or target, target), now_ns
         elapsed_ns = now_ns - self._since_ns
-        if elapsed_ns >= self._ramp_ns or self._from is None:
-            self.reference = target
-        else:
-            self.reference = blend(self._from, target, elapsed_ns / self._ramp_ns)
+        self.reference = target
+        if elapsed_ns < self._ramp_ns and self._way is not None:
+            self.reference = self._way.at(elapsed_ns / self._ramp_ns)
 
     def _too_far(self, reference: Reference, model: RobotModel, q: Array, error: Array) -> str:
         """In what the reference is out of the workspace or too far from the arm; empty when in nothing."""
@@ -129,15 +131,6 @@ class Follower:
             name, found, permitted = model.arm.joint_names[joint], errors[joint], limits.max_posture_error
             return f"q_d is {found:.2f} rad from {name}, permitted {permitted:g} rad (max_posture_error)"
         return ""
-
-
-def blend(start: Reference, end: Reference, share: float) -> Reference:
-    """The reference at `share` (0 to 1) of the way from `start` to `end`, rotations along the shortest arc."""
-    return Reference(
-        position=between(start.position, end.position, share),
-        rotation=turned(start.rotation, end.rotation, share),
-        posture=between(start.posture, end.posture, share),
-    )
 
 
 def _beyond(position: Array, limits: SupervisionSettings) -> str:

@@ -55,12 +55,6 @@ class Constant(IntEnum):
 _POSITION_ROWS, _AXIS_ROWS = 3, 5
 """`TASK_ROWS` of translation alone, and of translation and the direction of the tip's z axis."""
 
-_JERK_SHARE = 0.3
-"""Share of the jerk that a joint's own torque can produce that is relied upon to end its acceleration in time.
-
-The other joints' torques change meanwhile and may work against it.
-"""
-
 _FADE = 0.15
 """Share of the permitted speed within which the push of the laws fades beyond it."""
 
@@ -243,79 +237,32 @@ def controlled(vectors: Array, rotation: Array, task_rows: int) -> Array:
     return found
 
 
-@_compiled(_RESULT, _VECTOR, _VECTOR, float64)
-def between(start: Array, end: Array, share: float) -> Array:
-    """The vector at `share` (0 to 1) of the way from `start` to `end`."""
-    found = np.empty(len(start))
-    for i in range(len(start)):
-        found[i] = start[i] + share * (end[i] - start[i])
-    return found
-
-
-@_compiled(float64[:, ::1], _MATRIX, _MATRIX, float64)
-def turned(start: Array, end: Array, share: float) -> Array:
-    """The rotation (3, 3) at `share` (0 to 1) of the way from `start` to `end`, along the shortest arc."""
-    turn = np.empty((3, 3))
-    for row in range(3):
-        for column in range(3):
-            total = 0.0
-            for k in range(3):
-                total += end[row, k] * start[column, k]
-            turn[row, column] = total
-    vector = rotation_vector(turn)
-    x, y, z = share * vector[0], share * vector[1], share * vector[2]
-    square = x * x + y * y + z * z
-    angle = np.sqrt(square)
-    # Rodrigues' formula, its quotients by their series where the angle is small.
-    sine = np.sin(angle) / angle if angle > 1e-4 else 1.0 - square / 6.0
-    cosine = (1.0 - np.cos(angle)) / square if angle > 1e-4 else 0.5 - square / 24.0
-    vector[0], vector[1], vector[2] = x, y, z
-    for row in range(3):
-        for column in range(3):
-            turn[row, column] = cosine * vector[row] * vector[column]
-        turn[row, row] += 1.0 - cosine * square
-    turn[0, 1] -= sine * z
-    turn[1, 0] += sine * z
-    turn[0, 2] += sine * y
-    turn[2, 0] -= sine * y
-    turn[1, 2] -= sine * x
-    turn[2, 1] += sine * x
-    found = np.empty((3, 3))
-    for row in range(3):
-        for column in range(3):
-            total = 0.0
-            for k in range(3):
-                total += turn[row, k] * start[k, column]
-            found[row, column] = total
-    return found
-
-
 @_compiled()
-def solve_bounded(matrix: Array, vector: Array, floor: float) -> Array:
-    """A⁻¹ b for a symmetric positive semi-definite A, by an inverse whose norm stays at or below 2 / floor.
+def solve_bounded(matrix: Array, vectors: Array, floor: float) -> Array:
+    """A⁻¹ b for each row b of `vectors` (k, m) and a symmetric positive semi-definite A.
 
-    Eigenvalues of at least `floor` are inverted exactly, so that the result is the true inverse away from
-    singularities. Smaller ones are lifted to floor/2 · (1 + (s/floor)²), which meets s with the same slope at the
-    floor: the result is continuously differentiable in the matrix.
+    The norm of the inverse stays at or below 2 / floor. Eigenvalues of at least `floor` are inverted exactly, so that
+    it is the true inverse away from singularities. Smaller ones are lifted to floor/2 · (1 + (s/floor)²), which meets s
+    with the same slope at the floor: the result is continuously differentiable in the matrix.
     """
+    solutions = np.zeros(vectors.shape)
     # The shifted factor exists exactly when all eigenvalues are above the floor, and costs far less than they do.
     if factorise(matrix, floor)[1]:
         factor = factorise(matrix, 0.0)[0]
-        return solve_upper(factor, solve_lower(factor, vector))
-    size = len(vector)
-    values, vectors = np.linalg.eigh(matrix)
-    solution = np.zeros(size)
-    for i in range(size):
+        for row in range(len(vectors)):
+            solutions[row] = solve_upper(factor, solve_lower(factor, vectors[row]))
+        return solutions
+    values, axes = np.linalg.eigh(matrix)
+    for i in range(len(values)):
         value = values[i]
         if value < floor:
             share = max(value, 0.0) / floor
             value = 0.5 * floor * (1.0 + share * share)
-        part = 0.0
-        for k in range(size):
-            part += vectors[k, i] * vector[k]
-        for k in range(size):
-            solution[k] += vectors[k, i] * part / value
-    return solution
+        parts = times(vectors, axes[:, i])
+        for row in range(len(vectors)):
+            for k in range(len(values)):
+                solutions[row, k] += axes[k, i] * parts[row] / value
+    return solutions
 
 
 @_compiled()
@@ -480,16 +427,18 @@ def law_torques(
             for k in range(n):
                 product += rows[row, k] * rows[column, k]
             mobility[row, column] = mobility[column, row] = product
-    floor = constants[Constant.SINGULARITY_FLOOR, 0]
     driving = -constants[Constant.NULL_STIFFNESS] * posture_error
     braking = -constants[Constant.NULL_DAMPING] * v
     pull, drag = times(rows, solve_lower(mass_factor, driving)), times(rows, solve_lower(mass_factor, braking))
+    wanted = np.empty((3, m))
     for row in range(m):
-        pull[row] = -constants[Constant.TASK_STIFFNESS, 0] * error[row] - pull[row]
-        drag[row] = -constants[Constant.TASK_DAMPING, 0] * twist[row] - drag[row]
-    driving += times(jacobian.T, solve_bounded(mobility, pull, floor))
-    braking += times(jacobian.T, solve_bounded(mobility, drag, floor))
-    return driving, braking, times(jacobian.T, solve_bounded(mobility, -drift, floor))
+        wanted[0, row] = -constants[Constant.TASK_STIFFNESS, 0] * error[row] - pull[row]
+        wanted[1, row] = -constants[Constant.TASK_DAMPING, 0] * twist[row] - drag[row]
+        wanted[2, row] = -drift[row]
+    wrenches = solve_bounded(mobility, wanted, constants[Constant.SINGULARITY_FLOOR, 0])
+    driving += times(jacobian.T, wrenches[0])
+    braking += times(jacobian.T, wrenches[1])
+    return driving, braking, times(jacobian.T, wrenches[2])
 
 
 @_compiled()
@@ -513,33 +462,24 @@ def repulsion_torque(constants: Array, q: Array, v: Array) -> Array:
     return torque
 
 
-@_compiled()
-def inverse(factor: Array) -> Array:
-    """A⁻¹ of A = L Lᵀ."""
-    size = len(factor)
-    result = np.empty((size, size))
-    for i in range(size):
-        unit = np.zeros(size)
-        unit[i] = 1.0
-        result[i] = solve_upper(factor, solve_lower(factor, unit))
-    return result
-
-
-@_compiled()
+@_compiled(_RESULT, _MATRIX, _VECTOR, _VECTOR, float64)
 def limit_torque(constants: Array, torque: Array, previous: Array, period: float) -> Array:
     """Limit the torque (n,), N m, that follows `previous` after `period` seconds: to caps and rates; caps win.
 
     All joints advance by the same share of their change. If only the joints beyond their rate were held back, the
-    torques would change their direction and drive the arm where nothing wants it.
+    torques would change their direction and drive the arm where nothing wants it. All NaN where `torque` is not finite.
     """
     n = len(torque)
     rate, cap = constants[Constant.TORQUE_RATE], constants[Constant.TORQUE_CAP]
-    limited, share = np.empty(n), 1.0
+    limited, share, total = np.empty(n), 1.0, 0.0
     for i in range(n):
+        total += torque[i]
         limited[i] = min(max(torque[i], -cap[i]), cap[i])
         way, step = abs(limited[i] - previous[i]), rate[i] * period
         if way > step:
             share = min(share, step / way)
+    if not np.isfinite(total):
+        return np.full(n, np.nan)
     for i in range(n):
         if share < 1.0:
             limited[i] = previous[i] + share * (limited[i] - previous[i])
@@ -547,46 +487,15 @@ def limit_torque(constants: Array, torque: Array, previous: Array, period: float
     return limited
 
 
-@_compiled()
-def sendable_torque(constants: Array, torque: Array, previous: Array, period: float) -> Array:
-    """Torque that may follow `previous`, as `limit_torque`; all NaN where `torque` is not finite."""
-    n = len(torque)
-    limited = limit_torque(constants, torque, previous, period)
-    total = 0.0
-    for i in range(n):
-        total += torque[i]
-    if not np.isfinite(total):
-        for i in range(n):
-            limited[i] = np.nan
-    return limited
-
-
-@_compiled()
-def braking_share(constants: Array, v: Array, mass_matrix: Array) -> float:
-    """Share of the stop's damping with which every joint's torque can follow its speed down at its greatest rate.
-
-    Damping that the rate delays would drive the arm back. One share for all joints keeps the damping dissipative.
-    """
-    share = 1.0
-    for i in range(len(v)):
-        rate, speed = constants[Constant.STOP_RATE, i], abs(v[i])
-        jerk = _JERK_SHARE * constants[Constant.TORQUE_RATE, i] / mass_matrix[i, i]
-        if speed > jerk / rate**2:
-            share = min(share, np.sqrt(2.0 * jerk * speed - (jerk / rate) ** 2) / (rate * speed))
-    return share
-
-
 @_compiled(_RESULT, _VECTOR, _VECTOR, _MATRIX)
-def yielded(tension: Array, most: Array, stiffness: Array) -> Array:
+def yielded(tension: Array, most: Array, compliance: Array) -> Array:
     """The tension (n,), N m, of a spring after it has yielded: within `most` (n,) in each joint.
 
     Of all tensions within, the nearest one in the norm of the stored energy ½ τᵀ K⁻¹ τ, which therefore does not grow:
-    associated plasticity. Coordinate descent from the clipped tension; `stiffness` is K (n, n), N m/rad.
+    associated plasticity. Coordinate descent from the clipped tension; `compliance` is K⁻¹ (n, n), rad/(N m).
     """
     n = len(tension)
-    found, compliance = np.empty(n), inverse(factorise(stiffness, 0.0)[0])
-    for i in range(n):
-        found[i] = min(max(tension[i], -most[i]), most[i])
+    found = np.minimum(np.maximum(tension, -most), most)
     for _ in range(_YIELD_SWEEPS):
         for i in range(n):
             slope = 0.0
@@ -594,25 +503,6 @@ def yielded(tension: Array, most: Array, stiffness: Array) -> Array:
                 slope += compliance[i, k] * (found[k] - tension[k])
             found[i] = min(max(found[i] - slope / compliance[i, i], -most[i]), most[i])
     return found
-
-
-@_compiled(_RESULT, *(_MATRIX,) * 2, *(_VECTOR,) * 4, float64)
-def stopping_torque(
-    constants: Array, mass_matrix: Array, gravity: Array, v: Array, tension: Array, previous: Array, period: float
-) -> Array:
-    """Torque (n,) of the stop, N m: gravity, damping −s M q̇, and the tension (n,) of the hold, N m.
-
-    Others as for `tracking_torque`.
-    """
-    n = len(v)
-    share = braking_share(constants, v, mass_matrix)
-    wanted = np.empty(n)
-    for i in range(n):
-        wanted[i] = -share * constants[Constant.STOP_RATE, i] * v[i]
-    torque = times(mass_matrix, wanted)
-    for i in range(n):
-        torque[i] += tension[i] + constants[Constant.GRAVITY_SHARE, i] * gravity[i]
-    return sendable_torque(constants, torque, previous, period)
 
 
 @_compiled(
@@ -694,4 +584,4 @@ def tracking_torque(
     share = constants[Constant.GRAVITY_SHARE]
     for i in range(n):
         torque[i] = authority * (torque[i] + bias[i] - gravity[i]) + share[i] * gravity[i]
-    return sendable_torque(constants, torque, previous, period)
+    return limit_torque(constants, torque, previous, period)

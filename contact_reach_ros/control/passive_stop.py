@@ -9,7 +9,7 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.kernels import Constant, stopping_torque, yielded
+from contact_reach_ros.control.kernels import Constant, limit_torque, yielded
 
 BRAKING_TIME = 0.1
 """Time in which a moving arm is braked, s."""
@@ -24,6 +24,10 @@ _CARRIED_SHARE = 0.05
 """Stiffness of the springs that have that tension, as a share of the hold's."""
 _HOLD_SHARE = 0.5
 """Natural frequency of arm and hold as a share of the damping's rate: critically damped."""
+
+_JERK_SHARE = 0.3
+"""Share of the jerk that a joint's own torque can produce that is relied upon to end its acceleration in time: the
+other joints' torques change meanwhile and may work against it."""
 
 
 class PassiveStop:
@@ -52,7 +56,8 @@ class PassiveStop:
         self._most: Array = np.array(arm.default("handover_thresholds") if hold is None else hold)
         self._spread: Array | None = None
         """(n, 2), rad, from the joints to the anchors of the hold and of the carried tension; None before the first."""
-        self._stiffness = np.eye(arm.n)
+        self._stiffness: Array = np.eye(arm.n)
+        self._compliance: Array = np.eye(arm.n)
         self._q = np.zeros(arm.n)
         self._since = 0.0
         self._gives = True
@@ -79,26 +84,38 @@ class PassiveStop:
         if self._bare is not None:
             self._bare.update_dynamics(q)
         mass_matrix = (self._bare or model).mass_matrix
-        tension = self._tension(model, mass_matrix, q, previous, period)
-        return stopping_torque(self._constants, mass_matrix, model.gravity, v, tension, previous, period)
+        gravity = self._constants[Constant.GRAVITY_SHARE] * model.gravity
+        tension = self._tension(model, mass_matrix, q, previous - gravity, period)
+        braking = self._braking_share(v, mass_matrix) * self._constants[Constant.STOP_RATE] * v
+        return limit_torque(self._constants, gravity + tension - mass_matrix @ braking, previous, period)
 
-    def _tension(self, model: RobotModel, mass_matrix: Array, q: Array, previous: Array, period: float) -> Array:
-        """Tension (n,) of the hold and of what was carried before, N m."""
+    def _braking_share(self, v: Array, mass_matrix: Array) -> float:
+        """Share of the damping with which every joint's torque can follow its speed down at its greatest rate.
+
+        Damping that the rate delays would drive the arm back. One share for all joints keeps the damping dissipative.
+        """
+        rate, speed = self._constants[Constant.STOP_RATE], np.abs(v)
+        jerk = _JERK_SHARE * self._constants[Constant.TORQUE_RATE] / mass_matrix.diagonal()
+        # No slower than where the share becomes 1.
+        speed = np.maximum(speed, jerk / rate**2)
+        return float((np.sqrt(2.0 * jerk * speed - (jerk / rate) ** 2) / (rate * speed)).min())
+
+    def _tension(self, model: RobotModel, mass_matrix: Array, q: Array, carried: Array, period: float) -> Array:
+        """Tension (n,) of the hold and of what was `carried` (n,) besides gravity when the stop began, N m."""
         most = self._most
         if self._spread is None:
             self._stiffen(mass_matrix)
-            gravity = self._constants[Constant.GRAVITY_SHARE] * model.gravity
-            carried = yielded(previous - gravity, most, self._stiffness) / _CARRIED_SHARE
-            self._spread = np.column_stack([np.zeros(len(q)), np.linalg.solve(self._stiffness, carried)])
+            carried = yielded(carried, most, self._compliance) / _CARRIED_SHARE
+            self._spread = np.column_stack([np.zeros(len(q)), self._compliance @ carried])
         else:
             self._spread -= (q - self._q)[:, None]
         self._q, self._since = q, self._since + period
         hold, carried = (self._stiffness @ self._spread).T
         if (np.abs(hold) > most).any():
-            hold = yielded(hold, most, self._stiffness)
+            hold = yielded(hold, most, self._compliance)
             # Where the arm is moved to it may be lighter.
             self._stiffen(mass_matrix)
-            self._spread[:, 0] = np.linalg.solve(self._stiffness, hold)
+            self._spread[:, 0] = self._compliance @ hold
         if self._since <= BRAKING_TIME:
             self._from = model.position.copy()
         elif self._since > GIVING_TIME or math.dist(model.position.tolist(), self._from.tolist()) > GIVING_WAY:
@@ -109,3 +126,4 @@ class PassiveStop:
 
     def _stiffen(self, mass_matrix: Array) -> None:
         self._stiffness = (_HOLD_SHARE * self._constants[Constant.STOP_RATE, 0]) ** 2 * mass_matrix
+        self._compliance = np.linalg.inv(self._stiffness).astype(float)

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import InputError
@@ -34,6 +35,28 @@ class Reference(NamedTuple):
     position: Array
     rotation: Array
     posture: Array
+
+
+class Way:
+    """The way from one reference to another: straight, rotations along the shortest arc."""
+
+    def __init__(self, start: Reference, end: Reference) -> None:
+        """From `start` to `end`."""
+        self.start, self.end = start, end
+        self._from, self._to = pin.Quaternion(start.rotation), pin.Quaternion(end.rotation)
+
+    def __reduce__(self) -> tuple[type[Way], tuple[Reference, Reference]]:
+        # Pinocchio's quaternions cannot be copied.
+        return Way, (self.start, self.end)
+
+    def at(self, share: float) -> Reference:
+        """The reference at `share` (0 to 1) of the way."""
+        start, end = self.start, self.end
+        return Reference(
+            position=start.position + share * (end.position - start.position),
+            rotation=self._from.slerp(share, self._to).matrix(),
+            posture=start.posture + share * (end.posture - start.posture),
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -117,7 +117,7 @@ class Plan(ReferenceTrajectory):
 
 
 def _between(start: Reference, end: Reference, share: float) -> Reference:
-    """As `follower.blend`, which is compiled for the tick: planners need not wait for that when they start."""
+    """As `references.Way`, which the controller follows."""
     turn = Rotation.from_matrix(end.rotation @ start.rotation.T).as_rotvec()
     return Reference(
         position=start.position + share * (end.position - start.position),

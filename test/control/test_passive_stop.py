@@ -127,11 +127,11 @@ def test_a_hold_that_yields_stores_no_more_than_before():
         root = random.standard_normal((7, 7))
         stiffness, most = root @ root.T + 0.1 * np.eye(7), random.uniform(0.5, 5.0, 7)
         tension = random.uniform(-10.0, 10.0, 7)
-        found = yielded(tension, most, stiffness)
+        found = yielded(tension, most, np.linalg.inv(stiffness))
         assert (np.abs(found) <= most).all()
         stored = [torque @ np.linalg.solve(stiffness, torque) for torque in (tension, found)]
         assert stored[1] <= stored[0] + 1e-9
-    np.testing.assert_array_equal(yielded(0.3 * most, most, stiffness), 0.3 * most)
+    np.testing.assert_array_equal(yielded(0.3 * most, most, np.linalg.inv(stiffness)), 0.3 * most)
 
 
 class Body:

@@ -4,14 +4,12 @@ import dataclasses
 import math
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from arm_simulation import ARM
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contact_reach_ros.control.follower import blend
-from contact_reach_ros.control.references import Reference, ReferenceQueue, References
+from contact_reach_ros.control.references import ReferenceQueue, References
 from contact_reach_ros.errors import InputError
 
 MS = 1_000_000
@@ -105,14 +103,3 @@ def test_a_plan_is_refused_before_it_changes_anything(queue, stamp_ms, ends_ms, 
     with pytest.raises(InputError, match=f"^{match}"):
         queue.offer(dataclasses.replace(plan(stamp_ms, ends_ms), **changes), now_ms * MS)
     assert queue.accepted == 1 and selected(queue, 0) == 1.0
-
-
-@given(st.floats(0.0, 1.0))
-def test_blend_goes_straight_from_one_reference_to_the_other(share):
-    turn = np.array([0.3, -0.8, 1.2])
-    start = Reference(np.array([0.1, 0.2, 0.3]), pin.exp3(np.array([1.0, 0.5, -2.0])), np.arange(7.0))
-    end = Reference(np.array([0.5, -0.2, 0.6]), pin.exp3(turn) @ start.rotation, -np.arange(7.0))
-    between = blend(start, end, share)
-    np.testing.assert_allclose(between.position, (1 - share) * start.position + share * end.position, atol=1e-12)
-    np.testing.assert_allclose(between.posture, (1 - share) * start.posture + share * end.posture, atol=1e-12)
-    np.testing.assert_allclose(between.rotation, pin.exp3(share * turn) @ start.rotation, atol=1e-12)

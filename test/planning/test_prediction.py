@@ -7,8 +7,7 @@ from planning_helpers import MS
 from plans import make_plan
 
 from contact_reach_ros.arm import link_frames, rotation_about
-from contact_reach_ros.control.follower import blend
-from contact_reach_ros.control.references import Reference
+from contact_reach_ros.control.references import Reference, Way
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.prediction import Predictor, hold_at, pieces_between, reference_at
 
@@ -63,7 +62,7 @@ def test_reference_moves_between_knots_as_the_controller_moves_it(milliseconds, 
     turned = rotation_about([0.0, 0.6, 0.8], 0.7) @ HOLD.rotation
     knots = np.array([[0.5, 0.0, 0.4], [0.6, -0.1, 0.4]]), np.array([HOLD.rotation, turned]), np.array([HOME, -HOME])
     plan = make_plan(*knots, effect_ns=0, before=HOLD, ramp_s=0.05)
-    expected = blend(*(Reference(*(half[knot] for half in knots)) for knot in (0, 1)), share)
+    expected = Way(*(Reference(*(half[knot] for half in knots)) for knot in (0, 1))).at(share)
     for found, part in zip(plan.in_force(milliseconds * MS), expected, strict=True):
         np.testing.assert_allclose(found, part, rtol=0, atol=1e-9)
 
