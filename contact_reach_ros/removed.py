@@ -42,7 +42,7 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "supervision.hold_blend": "leave it out: a hold begins at once, where the arm is",
         "supervision.max_plan_lead": _NOT_TUNED + "1 s",
         "supervision.max_plan_duration": _NOT_TUNED + "1 s",
-        "supervision.watch_rate": _NOT_TUNED + "250 Hz; watch_itself: false ends the controller's own watch",
+        "supervision.watch_rate": "leave it out: the own watch takes every state; watch_itself: false ends it",
         "supervision.observer_patience": "leave it out: a silent observer stops the arm after 0.25 s",
         "supervision.observer_timeout": _NOT_TUNED + "0.25 s",
         "supervision.reset_velocity": _NOT_TUNED + "0.05 rad/s",

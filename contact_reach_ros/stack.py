@@ -175,8 +175,7 @@ class Stack:
         else:
             observer = observer or ObserverSettings()
             self.observer = Observer(self.arm, observer, budget, period)
-            own_period = self.controller.watch_period
-            watcher = Observer(self.arm, observer, budget, own_period, locates=False, blind_after=BLIND_AFTER)
+            watcher = Observer(self.arm, observer, budget, period, locates=False, blind_after=BLIND_AFTER)
             self.controller.watch_with(watcher)
         if isinstance(planner, Planner):
             self.planner = planner

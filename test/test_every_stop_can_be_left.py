@@ -74,8 +74,7 @@ class Rig(Stack):
     def start_controller(self) -> None:
         hold = BUDGET.handover_thresholds
         self.controller = Controller(ARM, self.controller.settings, PERIOD, hold=hold)
-        period = self.controller.watch_period
-        watcher = Observer(ARM, ObserverSettings(), BUDGET, period, locates=False, blind_after=BLIND_AFTER)
+        watcher = Observer(ARM, ObserverSettings(), BUDGET, PERIOD, locates=False, blind_after=BLIND_AFTER)
         self.controller.watch_with(watcher)
 
     def start_observer(self) -> None:
@@ -119,7 +118,7 @@ class Rig(Stack):
     def situation(self) -> tuple:
         """The state that counts: two rigs in the same one behave alike."""
         controller, observer, guard, drive = self.controller, self.observer, self.guard, self.robot.drive
-        watcher = controller._watch._watcher
+        watcher = controller._watcher
         return (
             controller.mode,
             controller.started,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,12 +14,11 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import body_of, make_constants
 from contact_reach_ros.control.follower import Follower
 from contact_reach_ros.control.kernels import Constant, tracking_torque
-from contact_reach_ros.control.own_watch import OwnWatch
 from contact_reach_ros.control.passive_stop import PassiveStop
 from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.control.stability import check_gains
-from contact_reach_ros.control.supervisor import OBSERVER, Event, Mode, Supervisor, check_start, check_state
+from contact_reach_ros.control.supervisor import OBSERVER, OWN_WATCH, Event, Mode, Supervisor, check_start, check_state
 from contact_reach_ros.errors import InputError, Verdict
 from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS, StampOrder
 
@@ -29,9 +29,6 @@ START_RAMP = 0.5
 """Time in which the laws reach full authority, s: a wrong model or plan shows as a slow motion first."""
 HELD_AFTER = 0.02
 """Time without a command after which a drive holds the arm by itself, s."""
-WATCH_RATE = 250.0
-"""Joint states per second that the controller's own watch takes at most, Hz, each with the mean torque since the last:
-it is a second line of defence, and must leave the tick its time."""
 
 
 class Controller:
@@ -66,7 +63,6 @@ class Controller:
         arm: Arm,
         settings: ControllerSettings,
         period: float = 0.001,
-        watch_rate: float = WATCH_RATE,
         hold: Sequence[float] | None = None,
     ) -> None:
         """Raise `SettingsError` if the gains are not stable at this rate.
@@ -77,8 +73,6 @@ class Controller:
             The arm, and all settings.
         period
             Nominal time between joint states, s.
-        watch_rate
-            Joint states that the controller's own watch takes at most, Hz.
         hold
             Torque (n,) up to which a stop holds a joint, N m: the budget's hand-over limits; the arm's by default.
         """
@@ -94,9 +88,10 @@ class Controller:
         self.not_yet = self.not_vouched = ""
         self.in_force = not settings.supervision.adapter
         self._found = np.zeros(7)
-        self._watch: OwnWatch | None = None
+        self._watcher: Observer | None = None
+        self._watched_ns = 0
+        """When a state was last shown to it, on the watchdogs' clock."""
         self._period = period
-        self._watch_rate = watch_rate
         self._constants = make_constants(arm, settings.impedance, settings.limits, settings.supervision, period)
         self._body = body_of(self.model)
         self._stop = PassiveStop(arm, self._constants, hold)
@@ -111,17 +106,11 @@ class Controller:
     def watch_with(self, watcher: Observer) -> None:
         """Take an observer for `watch`, which nobody else may use, if the settings want the controller to have one.
 
-        Its nominal time between states is `watch_period`. From then on the controller does not start unless it
-        confirms the states, too.
+        From then on the controller does not start unless it confirms the states, too.
         """
         if self.settings.supervision.has_own_watch:
-            self._watch = OwnWatch(watcher, self.supervisor, self._period, self.watch_period)
-
-    @property
-    def watch_period(self) -> float:
-        """Nominal time between the states that the controller's own watch takes, s."""
-        # Not more often: the next whole number, but for the rounding of the quotient.
-        return self._period * max(1, math.ceil(1.0 / (self._watch_rate * self._period) - 1e-9))
+            self._watcher = watcher
+            self.supervisor.hear(OWN_WATCH, Verdict(doubt="the controller's own watch has seen nothing yet"), 0)
 
     @property
     def error(self) -> Array:
@@ -198,8 +187,17 @@ class Controller:
         InputError
             If the state is not finite.
         """
-        if self._watch is not None:
-            self._watch.see(state, self._started, clock_ns)
+        report = None if self._watcher is None else self._watcher.update(state)
+        if self._watcher is None or report is None:
+            return
+        self._watched_ns = clock_ns
+        if not report.due:
+            return
+        self.supervisor.hear(OWN_WATCH, report.verdict, clock_ns)
+        if report.verdict.reason and not self._started:
+            # Before the start there is nothing to stop: what has to be reset by hand is latched by the observer alone.
+            with suppress(InputError):
+                self._watcher.reset(0.0)
 
     def follow(self, references: References) -> None:
         """Take the references of a plan; they take effect at their stamp.
@@ -322,8 +320,9 @@ class Controller:
         q, v, now_ns = self.state.q, self.state.v, self.stamp_ns
         check_fresh((clock_ns - (self._last_clock_ns or 0)) / NANOSECONDS)
         self.supervisor.check_reset(q, v, clock_ns)
-        if self._watch is not None:
-            self._watch.reset(clock_ns)
+        if self._watcher is not None:
+            self._watcher.reset((clock_ns - self._watched_ns) / NANOSECONDS)
+            self.supervisor.hear(OWN_WATCH, self._watcher.report().verdict, clock_ns)
         was_silent = self.mode is Mode.SILENT
         self.supervisor.happens(Event.RESET)
         self.model.update(q, v)
@@ -344,6 +343,8 @@ class Controller:
         self.follow(References(1, (10,), position[None], rotation[None], q[None]))
         for now_ns in (2, 20):
             self.update(JointState(now_ns, q, v, None), now_ns)
+        self.stop("rehearsal")
+        self.update(JointState(21, q, v, None), 21)
 
     def _restart(self, q: Array, now_ns: int) -> None:
         """Forget all plans and hold the current pose, with authority ramping in; a stop stays in force."""

@@ -136,8 +136,8 @@ class ControllerNode(StoppableNode):
 
     def _make_watcher(self) -> Observer:
         settings = ObserverSettings.from_sections(self.settings)
-        budget, period = self.settings[BUDGET], self._controller.watch_period
-        return Observer(self.arm, settings, budget, period, locates=False, blind_after=BLIND_AFTER)
+        budget = self.settings[BUDGET]
+        return Observer(self.arm, settings, budget, self.period, locates=False, blind_after=BLIND_AFTER)
 
     def look_around(self) -> None:
         """Look for rivals, and for an observer whose settings differ: beside either the arm does not start."""

@@ -145,10 +145,10 @@ class _Loop:
             self._notes(),
         )
 
-    def make_observer(self, period: float, **options: Any) -> Observer:
-        """The observer of the node's settings, for states every `period` seconds."""
+    def make_observer(self, **options: Any) -> Observer:
+        """An observer of the node's settings."""
         settings = ObserverSettings.from_sections(self.settings)
-        return Observer(self.inputs.arm, settings, self.settings[BUDGET], period, **options)
+        return Observer(self.inputs.arm, settings, self.settings[BUDGET], self.period, **options)
 
     def give(self, row: Row, stamp_ns: int, value: Array, recorded: Array | None) -> None:
         """Compare an output with the recorded one, unless the bag lacks it."""
@@ -210,10 +210,9 @@ class _ControllerLoop(_Loop):
     def __init__(self, inputs: RecordedInputs, other: Path | None) -> None:
         super().__init__("controller", inputs, other)
         hold = self.settings[BUDGET].handover_thresholds
-        self.controller = Controller(
-            inputs.arm, ControllerSettings.from_sections(self.settings), self.period, hold=hold
-        )
-        self.watch = self.make_observer(self.controller.watch_period, locates=False, blind_after=BLIND_AFTER)
+        settings = ControllerSettings.from_sections(self.settings)
+        self.controller = Controller(inputs.arm, settings, self.period, hold=hold)
+        self.watch = self.make_observer(locates=False, blind_after=BLIND_AFTER)
         self.controller.watch_with(self.watch)
         self.plans = PlanReader(self.controller)
         self.residuals = inputs.by_stamp(EXTERNAL_TORQUE)
@@ -292,7 +291,7 @@ class _ControllerLoop(_Loop):
 class _ObserverLoop(_Loop):
     def __init__(self, inputs: RecordedInputs, other: Path | None) -> None:
         super().__init__("observer", inputs, other)
-        self.observer = self.make_observer(self.period)
+        self.observer = self.make_observer()
         self.recorded = inputs.by_stamp(self.topic)
         self.last_recorded: Array | None = None
         self.handlers = {

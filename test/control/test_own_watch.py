@@ -6,7 +6,7 @@ from arm_simulation import ARM, HOME, REST, TICK_NS
 
 from contact_reach_ros.arm import BLIND_AFTER, JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.controller import WATCH_RATE, Controller
+from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import OBSERVER_TIMEOUT, Mode
 from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict
@@ -20,10 +20,10 @@ PAUSE_AT = 1000
 """Tick from which the observer is silent."""
 
 
-def make_controller(watcher=None, watch_rate: float = 1000.0) -> Controller:
+def make_controller(watcher=None) -> Controller:
     """A controller with this watcher, which is shown every state; or one without a watch of its own."""
     supervision = SupervisionSettings(watch_itself=watcher is not None)
-    controller = Controller(ARM, ControllerSettings(supervision=supervision), watch_rate=watch_rate)
+    controller = Controller(ARM, ControllerSettings(supervision=supervision))
     controller.watch_with(watcher)
     return controller
 
@@ -51,11 +51,10 @@ def noticed_after(controller: Controller, silent_ms: int) -> tuple[int, str]:
 
 
 def test_a_push_during_a_pause_of_the_observer_is_seen_a_state_later_than_by_it():
-    period = 1.0 / WATCH_RATE
-    watcher = Observer(ARM, ObserverSettings(), ContactBudget(), period=period, locates=False)
+    watcher = Observer(ARM, ObserverSettings(), ContactBudget(), locates=False)
     heard, expected = noticed_after(make_controller(), 0)
-    after, reason = noticed_after(make_controller(watcher, WATCH_RATE), 200)
-    assert after <= heard + 1000 * period and heard < 100
+    after, reason = noticed_after(make_controller(watcher), 200)
+    assert after <= heard + 1 and heard < 100
     push = "sudden external torque on lbr_A1"
     assert expected.startswith(push) and reason.startswith(push)
 
@@ -143,8 +142,8 @@ def test_either_ones_stop_counts(controller, watcher, why, is_own):
 
 @pytest.mark.parametrize(("gap", "is_stopped"), [(20, False), (60, False), (90, True)])
 def test_a_pause_of_the_controller_is_blindness_from_75_ms_on(gap, is_stopped):
-    watcher = Observer(ARM, ObserverSettings(), ContactBudget(), 1 / WATCH_RATE, locates=False, blind_after=BLIND_AFTER)
-    controller = make_controller(watcher, WATCH_RATE)
+    watcher = Observer(ARM, ObserverSettings(), ContactBudget(), locates=False, blind_after=BLIND_AFTER)
+    controller = make_controller(watcher)
     weight = RobotModel(ARM).gravity_at(HOME)
     for tick in (*range(1, 600), *range(600 + gap, 640 + gap)):
         controller.hear(Verdict(), tick * TICK_NS)
@@ -182,11 +181,3 @@ def test_a_reset_releases_it_unless_the_arm_is_pushed(controller, watcher):
     watcher.is_pushed = False
     controller.reset(3 * TICK_NS)
     assert controller.mode is Mode.HOLDING and not controller.stop_reason
-
-
-def test_it_is_shown_one_state_in_each_of_its_periods_with_the_mean_of_the_torques(watcher):
-    controller = make_controller(watcher, watch_rate=250.0)
-    for tick in range(1, 14):
-        update(controller, tick)
-    assert [state.stamp_ns // TICK_NS for state in watcher.states] == [1, 5, 9, 13]
-    assert [state.torque[0] for state in watcher.states] == [1.0, 3.5, 7.5, 11.5]
