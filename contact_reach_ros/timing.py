@@ -36,6 +36,20 @@ def states_in(milliseconds: int, period: float) -> int:
     return max(min(milliseconds, 2), round(milliseconds / (1000.0 * period)))
 
 
+class Debounce:
+    """Whether something has lasted for a time, counted in states."""
+
+    def __init__(self, milliseconds: int, period: float) -> None:
+        """`milliseconds`: the time, converted by `states_in`; `period`: of the states, s."""
+        self._limit = states_in(milliseconds, period)
+        self._states = 0
+
+    def lasts(self, is_so: bool) -> bool:
+        """Take whether it is so in the next state; returns whether it has been for long enough."""
+        self._states = self._states + 1 if is_so else 0
+        return self._states >= self._limit
+
+
 class StampOrder:
     """Distinguishes new messages from old ones that arrive again, by their stamps.
 

@@ -13,7 +13,7 @@ import numpy as np
 from contact_reach_ros.arm import REST_SPEED, Arm, Array, check_rest
 from contact_reach_ros.control.settings import SupervisionSettings
 from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict, with_sequel
-from contact_reach_ros.timing import NANOSECONDS, states_in
+from contact_reach_ros.timing import NANOSECONDS, Debounce
 
 
 class Mode(Enum):
@@ -112,13 +112,11 @@ class Supervisor:
         self.longest_silence = 0.0
         self._arm = arm
         self._settings = settings
-        self._debounce = states_in(SPEED_DEBOUNCE, period)
         self._limits = list(
             zip(arm.joint_names, arm.lower.tolist(), arm.upper.tolist(), arm.velocity_limits.tolist(), strict=True)
         )
         self._reason = self._sequel = ""
-        self._speeding = {"joints": 0, "points": 0}
-        """States in a row above a permitted speed."""
+        self._fast_joint, self._fast_point = (Debounce(SPEED_DEBOUNCE, period) for _ in range(2))
         self._since_ns: list[int] = []
         """When the stop or giving way began, and since when the arm has been at rest in a stop, if it is."""
         self._verdicts: dict[str, Verdict] = {}
@@ -132,7 +130,8 @@ class Supervisor:
         self.mode = TRANSITIONS.get((before, event), before)
         if event is Event.RESET:
             self._reason = self._sequel = ""
-            self._speeding = dict.fromkeys(self._speeding, 0)
+            self._fast_joint.lasts(False)
+            self._fast_point.lasts(False)
             self.longest_silence = 0.0
         return self.mode is not before
 
@@ -203,7 +202,7 @@ class Supervisor:
 
     def watch_speed(self, share: float) -> None:
         """Stop when a joint or a point of the arm has been too fast for some states: `share` of its permitted speed."""
-        if self._lasts("points", share > SPEED_TOLERANCE):
+        if self._fast_point.lasts(share > SPEED_TOLERANCE):
             text = f"a joint or a point of the arm has {share:.2f} times its permitted speed (limits.body_speed)"
             self.stop(StopReason(StopCode.SPEED_LIMIT, text))
 
@@ -268,17 +267,12 @@ class Supervisor:
                 text = f"{name} at {angle:.3f} rad is beyond its position limit, {beyond:.3f} rad"
                 self.stop(StopReason(StopCode.POSITION_LIMIT, text))
             is_fast = is_fast or not -limit <= speed <= limit
-        if self._lasts("joints", is_fast):
+        if self._fast_joint.lasts(is_fast):
             limits = self._arm.velocity_limits
             joint = int(np.argmax(np.abs(v) / limits))
             name, speed, limit = self._arm.joint_names[joint], abs(v[joint]), limits[joint]
             text = f"{name} moves with {speed:.2f} rad/s, permitted {limit:.2f} rad/s"
             self.stop(StopReason(StopCode.SPEED_LIMIT, text))
-
-    def _lasts(self, what: str, is_fast: bool) -> bool:
-        """Whether `what` has been too fast for some states in a row."""
-        self._speeding[what] = self._speeding[what] + 1 if is_fast else 0
-        return self._speeding[what] >= self._debounce
 
     def watch_hold(self, held_for: float, had_plan: bool) -> None:
         """Stop when there has been no valid plan for too long after one; `held_for` is in s."""

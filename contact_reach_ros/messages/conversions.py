@@ -81,7 +81,7 @@ def to_status(
 def to_safety_state(report: SafetyReport, name: str, arm: Arm) -> DiagnosticStatus:
     """The message of a report, published by the node `name`."""
     # Numbers are among the values only, so that the message changes when the state does.
-    message = report.reason or (MONITORING if report.level is SafetyLevel.FREE else report.level.value)
+    message = report.verdict.reason or (MONITORING if report.level is SafetyLevel.FREE else report.level.value)
     return to_status(name, message, findings(report), _LEVELS[report.level], arm.name)
 
 

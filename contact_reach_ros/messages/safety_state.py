@@ -41,14 +41,15 @@ _SUDDEN, _EXCESS = "sudden torque Nm", "contact above permitted force"
 def findings(report: SafetyReport) -> dict[str, str]:
     """The values of a report; link and force of a contact are known from its first heartbeat on."""
     values = {"level": report.level.value, "external torque max Nm": f"{np.abs(report.residual).max():.3f}"}
-    if report.reason:
-        values[STOP_CODE] = code_of(report.reason)
-    if report.distrust:
-        values[DISTRUST] = report.distrust
-    if report.doubt:
-        values[DOUBT] = report.doubt
+    verdict = report.verdict
+    if verdict.reason:
+        values[STOP_CODE] = code_of(verdict.reason)
+    if verdict.distrust:
+        values[DISTRUST] = verdict.distrust
+    if verdict.doubt:
+        values[DOUBT] = verdict.doubt
     values["residual age ms"] = f"{1000.0 * report.age:.1f}"
-    values[TORQUE] = _KNOWN if report.known_for > 0.0 else _UNKNOWN
+    values[TORQUE] = _KNOWN if verdict.torque_known else _UNKNOWN
     contact = report.contact
     if contact is not None:
         values[_LINK] = contact.link

@@ -81,7 +81,7 @@ class ObserverNode(StoppableNode):
             "joint states older": observer.order.older,
             "contacts": observer.monitor.contacts,
             "stops": observer.monitor.stops,
-            **observer.sight.rate.summary(),
+            "joint states Hz": observer.sight.rate.frequency,
             **findings(observer.report()),
         }
         return observer.monitor.stop_reason or self.rivals, values
@@ -99,8 +99,9 @@ class ObserverNode(StoppableNode):
         self._write_torque(self._torque_writer.write(report.residual, stamp_ns=report.stamp_ns))
         self._intake.outputs += 1
         if report.due:
-            if report.reason and report.has_news:
-                why = report.reason if report.distrust in ("", report.reason) else f"{report.reason}; {report.distrust}"
+            reason, distrust, *_ = report.verdict
+            if reason and report.has_news:
+                why = reason if distrust in ("", reason) else f"{reason}; {distrust}"
                 # Bags must not end between a stop and what led to it.
                 self._intake.flush()
                 self.say(f"stop: {why}; call ~/reset to continue")

@@ -18,14 +18,14 @@ from contact_reach_ros.observer.plausibility import PlausibilityCheck, TorqueChe
 from contact_reach_ros.observer.safety import SafetyLevel, SafetyMonitor
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.observer.sight import Sight
-from contact_reach_ros.timing import NANOSECONDS, StampOrder
+from contact_reach_ros.timing import NANOSECONDS, Debounce, StampOrder
 
 HEARTBEAT = 0.01
 """Longest time between reports that must be passed on, s."""
 LEAST_FORCE = 5.0
 """Least force of a contact that counts, N: above the errors of the estimate where contacts are located."""
-EXCESS_FORCE, EXCESS_TIME = 3.0, 0.2
-"""Force beyond the permitted one, N, and time for which a contact may have more, s: an impact is over by then."""
+EXCESS_FORCE, EXCESS_TIME = 3.0, 200
+"""Force beyond the permitted one, N, and time for which a contact may have more, ms: an impact is over by then."""
 
 
 class SafetyReport(NamedTuple):
@@ -37,51 +37,28 @@ class SafetyReport(NamedTuple):
         Stamp of the state, ns.
     level
         Free, in contact, or stopped.
-    reason
-        Why the arm must stop; empty while it need not. The observer latches what it has seen, but not that it sees
-        nothing.
-    distrust
-        What is wrong with the joint states or the model, on which even a compliant stop relies; empty if nothing is.
-    doubt
-        Why the arm must not start; empty when nothing speaks against the state.
+    verdict
+        What the controller has to know. The observer latches what it has seen, but not that it sees nothing.
     residual
         External torque (n,), N m.
     age
         Time since the state that the residual is from, s; infinite before the first.
-    known_for
-        Time for which the acting torque has been known, s; 0 while it is not.
     contact
         Where the arm is touched, rounded to 1 mm and 0.1 N; None without a located contact.
     has_news
-        Whether level, reason, distrust or doubt have changed.
-    is_heartbeat
-        Whether a heartbeat is due.
+        Whether the level has changed, or a reason, distrust or doubt.
+    due
+        Whether the report must be passed on, as news or a heartbeat; others need not be.
     """
 
     stamp_ns: int
     level: SafetyLevel
-    reason: str
-    distrust: str
-    doubt: str
+    verdict: Verdict
     residual: Array
     age: float
-    known_for: float
     contact: Contact | None
     has_news: bool
-    is_heartbeat: bool
-
-    @property
-    def verdict(self) -> Verdict:
-        """What the controller has to know."""
-        contact = self.contact
-        is_excessive = contact is not None and contact.is_excessive
-        known = self.known_for > 0.0
-        return Verdict(self.reason, self.distrust, self.doubt, known, describe_contact(contact), is_excessive)
-
-    @property
-    def due(self) -> bool:
-        """Whether the report must be passed on; others need not be."""
-        return self.has_news or self.is_heartbeat
+    due: bool
 
 
 def describe_contact(contact: Contact | None) -> str:
@@ -143,11 +120,9 @@ class Observer:
         self._torque_check = TorqueCheck(arm, period)
         self._locator = ContactLocator(model, budget.contact_thresholds)
         self._locates = locates
-        self._excess = 0
-        """States in a row with more than the permitted force."""
-        self._excess_limit = EXCESS_TIME / period
         self._permitted = budget.permitted_force + EXCESS_FORCE
         self._heartbeat_every = max(1, round(HEARTBEAT / period))
+        self._excess = Debounce(EXCESS_TIME, period * self._heartbeat_every)
         self._reported: tuple[SafetyLevel, str, str, str] | None = None
 
     def update(self, state: JointState) -> SafetyReport | None:
@@ -183,12 +158,8 @@ class Observer:
         is_heartbeat = self.updates % self._heartbeat_every == 0
         if is_heartbeat:
             contact = self.locate(q) if self._locates and monitor.in_contact else None
-            if contact is None or contact.strength <= self._permitted:
-                self._excess = 0
-            else:
-                self._excess += self._heartbeat_every
-                contact = dataclasses.replace(contact, is_excessive=self._excess >= self._excess_limit)
-            self.contact = contact
+            is_excessive = self._excess.lasts(contact is not None and contact.strength > self._permitted)
+            self.contact = contact and dataclasses.replace(contact, is_excessive=is_excessive)
         return self._conclude(stamp_ns, is_heartbeat)
 
     def report(self, stamp_ns: int = 0, is_heartbeat: bool = False) -> SafetyReport:
@@ -197,23 +168,24 @@ class Observer:
         level, reason = monitor.level, monitor.stop_reason
         if sight.blind and not reason:
             level, reason = SafetyLevel.BLIND, sight.blind
-        state = level, reason, monitor.distrust, reason or sight.doubt
-        updated_ns = momentum.updated_ns
+        contact, updated_ns = self.contact, momentum.updated_ns
+        verdict = Verdict(
+            reason,
+            monitor.distrust,
+            reason or sight.doubt,
+            momentum.known_for > 0.0,
+            describe_contact(contact),
+            contact is not None and contact.is_excessive,
+        )
         age = math.inf if updated_ns is None else max(stamp_ns - updated_ns, 0) / NANOSECONDS
+        has_news = (level, *verdict[:3]) != self._reported
         return SafetyReport(
-            stamp_ns,
-            *state,
-            momentum.residual,
-            age,
-            momentum.known_for,
-            self.contact,
-            state != self._reported,
-            is_heartbeat,
+            stamp_ns, level, verdict, momentum.residual, age, contact, has_news, has_news or is_heartbeat
         )
 
     def _conclude(self, stamp_ns: int, is_heartbeat: bool) -> SafetyReport:
         report = self.report(stamp_ns, is_heartbeat)
-        self._reported = report[1:5]
+        self._reported = report.level, *report.verdict[:3]
         return report
 
     def locate(self, q: Array) -> Contact:
@@ -247,10 +219,6 @@ class Observer:
         """
         self.sight.check_fresh(silence)
         self.monitor.reset()
-
-    def resume(self, residual: Array) -> None:
-        """Continue from an external torque (n,), N m, for recordings that begin late."""
-        self.momentum.residual = residual
 
     def _known_torque(self, measured: Array | None) -> tuple[Array | None, str]:
         """The measured torque (n,), N m, None while it is unknown; and why, unless the brakes may be closed."""

@@ -13,7 +13,7 @@ from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.observer.baseline import Baseline
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import SafetySettings
-from contact_reach_ros.timing import states_in
+from contact_reach_ros.timing import Debounce
 
 
 class SafetyLevel(Enum):
@@ -76,12 +76,11 @@ class SafetyMonitor:
         """
         arm = model.arm
         budget = budget.resolve(arm)
-        self.settings = settings
         self._names = arm.joint_names
-        self._debounce = states_in(settings.debounce, period)
-        self._contact_debounce = states_in(settings.contact_debounce, period)
-        self._handover_debounce = states_in(HANDOVER_DEBOUNCE, period)
-        self._release_debounce = states_in(RELEASE_DEBOUNCE, period)
+        self._above = Debounce(settings.debounce, period)
+        self._touched = Debounce(settings.contact_debounce, period)
+        self._released = Debounce(RELEASE_DEBOUNCE, period)
+        self._overweight = Debounce(HANDOVER_DEBOUNCE, period)
         self.budget = budget
         self.stop_reason = ""
         self.distrust = ""
@@ -95,10 +94,6 @@ class SafetyMonitor:
         self._contact_limits = self._scaled_contact_limits(1.0)
         self._release_limits = self._scaled_contact_limits(RELEASE_SHARE)
         self._handover_limits = np.array(budget.handover_thresholds)
-        self._above = 0
-        self._touched = 0
-        self._untouched = 0
-        self._handed_over_above = 0
         self._last_residual = np.zeros(arm.n)
         self._last_velocity = np.zeros(arm.n)
         self._last_posture = np.zeros(arm.n)
@@ -160,12 +155,15 @@ class SafetyMonitor:
             # Until the baseline is known, nothing can be called sudden.
             above, touched = above and self._beyond_absolute(residual, v), False
         else:
-            self._handed_over_above = 0
+            self._overweight.lasts(False)
             self._baseline.follow(torques, q, self.in_contact)
-        self._above = self._above + 1 if above else 0
-        if self._above >= self._debounce:
+        if self._above.lasts(above):
             self.stop(self._explain(residual, v))
-        self._debounce_contact(touched)
+        if self._touched.lasts(touched) and not self.in_contact:
+            self.in_contact = True
+            self.contacts += 1
+        if self._released.lasts(not touched):
+            self.in_contact = False
 
     def stop(self, reason: str) -> None:
         """Latch a stop; the first reason is kept."""
@@ -195,7 +193,8 @@ class SafetyMonitor:
                 f"reset needs at most {limits[joint]:g} Nm: free the arm"
             )
         self.stop_reason = self.distrust = ""
-        self._above = self._touched = self._handed_over_above = 0
+        for debounce in (self._above, self._touched, self._overweight):
+            debounce.lasts(False)
         self._baseline.restart(self._last_residual, self._last_posture)
         self.in_contact = False
 
@@ -203,28 +202,11 @@ class SafetyMonitor:
         limits = zip(self.budget.contact_thresholds, self.budget.contact_per_speed, strict=True)
         return [(share * threshold, share * per_speed) for threshold, per_speed in limits]
 
-    def _debounce_contact(self, touched: bool) -> None:
-        if touched:
-            self._untouched = 0
-            self._touched += 1
-            if not self.in_contact and self._touched >= self._contact_debounce:
-                self.in_contact = True
-                self.contacts += 1
-            return
-        self._touched = 0
-        self._untouched += 1
-        if self._untouched >= self._release_debounce:
-            self.in_contact = False
-
     def _hand_over(self, residual: Array) -> None:
         """At hand-over nothing moves yet: an external torque is weight that the model does not include."""
         shares = np.abs(residual) / self._handover_limits
         joint = int(np.argmax(shares))
-        if shares[joint] <= 1.0:
-            self._handed_over_above = 0
-            return
-        self._handed_over_above += 1
-        if self._handed_over_above >= self._handover_debounce:
+        if self._overweight.lasts(not shares[joint] <= 1.0):
             # A compliant stop would let the arm sink: this model would have to carry it.
             text = (
                 f"at hand-over the external torque on {self._names[joint]} is {residual[joint]:.1f} Nm, "

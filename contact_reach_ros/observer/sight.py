@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from contact_reach_ros.arm import REST_SPEED, Arm, Array, check_fresh
@@ -23,10 +21,8 @@ class RateCheck:
     ----------
     steps
         Steps from state to state that were taken into account, at most those of a second.
-    mean_ns, jitter_ns
-        Mean step, and mean difference from the nominal one, ns.
-    late_share
-        Share of the steps that were longer than one and a half periods.
+    mean_ns
+        Mean step, ns.
     """
 
     TOLERANCE = 0.5
@@ -38,7 +34,6 @@ class RateCheck:
         """`period`: nominal time between states, s."""
         self.steps = 0
         self.mean_ns = period * NANOSECONDS
-        self.jitter_ns = self.late_share = 0.0
         self._period_ns = period * NANOSECONDS
         self._window = max(self._LEAST, round(1.0 / period))
         self._stamp_ns: int | None = None
@@ -48,30 +43,22 @@ class RateCheck:
         previous, self._stamp_ns = self._stamp_ns, stamp_ns
         if previous is None or not 0 < stamp_ns - previous <= max(PAUSE * NANOSECONDS, 5 * self._period_ns):
             return
-        step = stamp_ns - previous
         self.steps = min(self.steps + 1, self._window)
-        share = 1.0 / self.steps
-        self.mean_ns += share * (step - self.mean_ns)
-        self.jitter_ns += share * (abs(step - self._period_ns) - self.jitter_ns)
-        self.late_share += share * ((step > 1.5 * self._period_ns) - self.late_share)
+        self.mean_ns += (stamp_ns - previous - self.mean_ns) / self.steps
+
+    @property
+    def frequency(self) -> float:
+        """Mean rate of the states, Hz; NaN before the first step."""
+        return NANOSECONDS / self.mean_ns if self.steps else float("nan")
 
     def mismatch(self, least: int = _LEAST) -> str:
         """In what way the states do not come at the nominal rate; empty when they do, or before `least` steps."""
         if self.steps < least or abs(self.mean_ns / self._period_ns - 1.0) <= self.TOLERANCE:
             return ""
-        found, nominal = NANOSECONDS / self.mean_ns, NANOSECONDS / self._period_ns
         return (
-            f"joint states come at {found:.0f} Hz, expected {nominal:.0f} Hz: set the parameter state_rate of all "
-            "nodes to the driver's"
+            f"joint states come at {self.frequency:.0f} Hz, expected {NANOSECONDS / self._period_ns:.0f} Hz: set the "
+            "parameter state_rate of all nodes to the driver's"
         )
-
-    def summary(self) -> Mapping[str, float]:
-        """Values for diagnostics."""
-        return {
-            "joint states Hz": NANOSECONDS / self.mean_ns if self.steps else float("nan"),
-            "joint states late share": self.late_share,
-            "joint states jitter us": self.jitter_ns / 1000.0,
-        }
 
 
 class Sight:

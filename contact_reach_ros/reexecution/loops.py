@@ -267,7 +267,7 @@ class _ControllerLoop(_Loop):
         if before is not None:
             self.controller.resume(before)
         if self.last_residual is not None:
-            self.watch.resume(self.last_residual)
+            self.watch.momentum.residual = self.last_residual
 
     def _hear(self, row: Row) -> None:
         message = self.inputs.message(TOPICS[row.what], row.sent_ns)
@@ -315,10 +315,10 @@ class _ObserverLoop(_Loop):
             self.lose()
             return
         if not self.in_step and self.last_recorded is not None:
-            self.observer.resume(self.last_recorded)
+            self.observer.momentum.residual = self.last_recorded
         report = self.observer.update(state)
         if report is not None:
             self._seen_ns = row.clock_ns
             self.last_recorded = self.recorded.get(state.stamp_ns)
-            self.note_reason(report.reason)
+            self.note_reason(report.verdict.reason)
             self.give(row, state.stamp_ns, report.residual, self.last_recorded)

@@ -103,4 +103,4 @@ class TestStuckTorque:
         for tick in range(1, 260):
             q = HOME + 0.001 * tick * self.MOVING
             report = observer.update(JointState(tick * 1_000_000, q, self.MOVING, torque))
-        assert "look at its torque sensor" in report.reason and not report.distrust
+        assert "look at its torque sensor" in report.verdict.reason and not report.verdict.distrust
