@@ -8,7 +8,7 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.kernels import Constant
+from contact_reach_ros.control.kernels import REPULSION_MARGIN, Constant
 from contact_reach_ros.control.settings import (
     IMPACT_ENERGY,
     SINGULARITY_FLOOR,
@@ -19,8 +19,6 @@ from contact_reach_ros.control.settings import (
 from contact_reach_ros.control.stability import lightness, stable_damping
 from contact_reach_ros.timing import PERIOD
 
-REPULSION_MARGIN = 0.1
-"""Distance to a position limit at which repulsion begins, rad: a fast joint needs it to come to rest."""
 REPULSION_SHARE = 0.5
 """Repulsion at the position limit, as a share of the joint's torque limit: the other half is left to carry the arm."""
 REPULSION_DAMPING = 10.0
@@ -28,8 +26,6 @@ REPULSION_DAMPING = 10.0
 their torque limits. Without it the repulsion would throw the joint back."""
 JOINT_SHARE = 0.7
 """Joint speed beyond which the arm is not driven, as a share of the data sheet's limit."""
-POSTURE_REACH = 0.25
-"""Distance of a joint from its reference posture beyond which law (2) pulls no harder, rad: plans ask for less."""
 
 STOP_DELAY = 0.01
 """Delay of the drive and its filters that a stop stays stable with, besides a period, s."""
@@ -59,7 +55,6 @@ def make_constants(
         Constant.SINGULARITY_FLOOR: SINGULARITY_FLOOR,
         Constant.LOWER_THRESHOLD: arm.lower + REPULSION_MARGIN,
         Constant.UPPER_THRESHOLD: arm.upper - REPULSION_MARGIN,
-        Constant.REPULSION_MARGIN: REPULSION_MARGIN,
         Constant.REPULSION_STRENGTH: REPULSION_SHARE * torques,
         Constant.REPULSION_DAMPING: stable_damping(
             REPULSION_DAMPING * torques / torques.max(), lightness(arm).mobility, period
@@ -73,7 +68,6 @@ def make_constants(
         Constant.BODY_SPEED: limits.body_speed,
         Constant.JOINT_SPEED: JOINT_SHARE * speeds,
         Constant.IMPACT_ENERGY: IMPACT_ENERGY,
-        Constant.POSTURE_REACH: POSTURE_REACH,
     }
     return np.array([np.broadcast_to(values[row], arm.n) for row in Constant])
 

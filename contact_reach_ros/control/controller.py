@@ -49,6 +49,8 @@ class Controller:
         Stamp of the last joint state received, including refused ones.
     order
         Counts repeated and late states.
+    started
+        Whether the controller has started since its last activation.
     not_yet
         Why the arm may not start yet; empty when it may.
     not_vouched
@@ -97,7 +99,7 @@ class Controller:
         self._stop = PassiveStop(arm, self._constants, hold)
         self._sent = np.zeros(arm.n)
         """The last torque, which limits the change of the next one."""
-        self._started = False
+        self.started = False
         self._started_ns = 0
         self._last_ns = 0
         self._last_clock_ns: int | None = None
@@ -123,11 +125,6 @@ class Controller:
         return float(self._found[6])
 
     @property
-    def started(self) -> bool:
-        """Whether the controller has started since its last activation."""
-        return self._started
-
-    @property
     def mode(self) -> Mode:
         """State of the state machine."""
         return self.supervisor.mode
@@ -139,7 +136,7 @@ class Controller:
 
     def activate(self) -> None:
         """Start again from the next joint state; a stop stays in force."""
-        self._started = False
+        self.started = False
 
     def update(self, state: JointState, clock_ns: int) -> Array | None:
         """Answer one joint state, which becomes `state` if it is new.
@@ -159,10 +156,10 @@ class Controller:
             for `not_yet` or because it is outside its limits. Nothing may be sent then.
         """
         stamp_ns, q, v, _ = state
-        if self._started and not self.order.is_new(stamp_ns):
+        if self.started and not self.order.is_new(stamp_ns):
             return None
         self.stamp_ns = stamp_ns
-        if not self._started:
+        if not self.started:
             self.not_vouched = self.supervisor.not_vouched(clock_ns)
             if self.not_vouched:
                 check_state(self.arm, q, v)
@@ -194,7 +191,7 @@ class Controller:
         if not report.due:
             return
         self.supervisor.hear(OWN_WATCH, report.verdict, clock_ns)
-        if report.verdict.reason and not self._started:
+        if report.verdict.reason and not self.started:
             # Before the start there is nothing to stop: what has to be reset by hand is latched by the observer alone.
             with suppress(InputError):
                 self._watcher.reset(0.0)
@@ -234,7 +231,7 @@ class Controller:
         self._last_ns = now_ns
         self._restart(q, now_ns)
         self.supervisor.happens(Event.START)
-        self._started = True
+        self.started = True
 
     def tick(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array | None:
         """Compute the torque to send for one joint state, (n,), N m; None when nothing may be sent any more.
@@ -254,7 +251,7 @@ class Controller:
             If the state is not finite, or so far from any real one that the torque is not; nothing may be sent for it.
             Also before `start`.
         """
-        if not self._started:
+        if not self.started:
             raise InputError("the controller was not started: call start with the first joint state")
         check_state(self.arm, q, v)
         self.model.update(q, v)
@@ -301,7 +298,7 @@ class Controller:
 
     def check_ready(self) -> None:
         """Raise `InputError` while no reset is possible: before the first joint state, and while `not_yet` is set."""
-        if not self._started or self.state is None:
+        if not self.started or self.state is None:
             raise InputError("the controller has not seen a joint state yet")
         if self.not_yet:
             raise InputError(f"{self.not_yet}; no reset before that")

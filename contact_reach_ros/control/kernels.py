@@ -37,23 +37,26 @@ class Constant(IntEnum):
     SINGULARITY_FLOOR = 4
     LOWER_THRESHOLD = 5
     UPPER_THRESHOLD = 6
-    REPULSION_MARGIN = 7
-    REPULSION_STRENGTH = 8
-    REPULSION_DAMPING = 9
-    TORQUE_CAP = 10
-    TORQUE_RATE = 11
-    GRAVITY_SHARE = 12
-    STOP_RATE = 13
-    TASK_ROWS = 14
-    TIP_FORCE = 15
-    BODY_SPEED = 16
-    JOINT_SPEED = 17
-    IMPACT_ENERGY = 18
-    POSTURE_REACH = 19
+    REPULSION_STRENGTH = 7
+    REPULSION_DAMPING = 8
+    TORQUE_CAP = 9
+    TORQUE_RATE = 10
+    GRAVITY_SHARE = 11
+    STOP_RATE = 12
+    TASK_ROWS = 13
+    TIP_FORCE = 14
+    BODY_SPEED = 15
+    JOINT_SPEED = 16
+    IMPACT_ENERGY = 17
 
 
 _POSITION_ROWS, _AXIS_ROWS = 3, 5
 """`TASK_ROWS` of translation alone, and of translation and the direction of the tip's z axis."""
+
+REPULSION_MARGIN = 0.1
+"""Distance to a position limit at which repulsion begins, rad: a fast joint needs it to come to rest."""
+_POSTURE_REACH = 0.25
+"""Distance of a joint from its reference posture beyond which law (2) pulls no harder, rad: plans ask for less."""
 
 _FADE = 0.15
 """Share of the permitted speed within which the push of the laws fades beyond it."""
@@ -450,12 +453,11 @@ def repulsion_torque(constants: Array, q: Array, v: Array) -> Array:
     """
     n = len(q)
     lower, upper = constants[Constant.LOWER_THRESHOLD], constants[Constant.UPPER_THRESHOLD]
-    margin = constants[Constant.REPULSION_MARGIN]
     strength, damping = constants[Constant.REPULSION_STRENGTH], constants[Constant.REPULSION_DAMPING]
     torque = np.zeros(n)
     for i in range(n):
         side = 1.0 if q[i] - upper[i] >= lower[i] - q[i] else -1.0
-        depth = min(max(q[i] - upper[i], lower[i] - q[i]) / margin[i], 1.5)
+        depth = min(max(q[i] - upper[i], lower[i] - q[i]) / REPULSION_MARGIN, 1.5)
         if depth > 0.0:
             approach = max(side * v[i], 0.0)
             torque[i] = -side * depth * (strength[i] * depth + damping[i] * approach)
@@ -570,8 +572,7 @@ def tracking_torque(
         return np.full(n, np.nan)
     posture_error = np.empty(n)
     for i in range(n):
-        reach = constants[Constant.POSTURE_REACH, i]
-        posture_error[i] = min(max(q[i] - reference_posture[i], -reach), reach)
+        posture_error[i] = min(max(q[i] - reference_posture[i], -_POSTURE_REACH), _POSTURE_REACH)
     driving, braking, rest = law_torques(
         constants, factor, rows[:, :n], rows[:, n], rows[:, n + 1], rows[:, n + 2], posture_error, v
     )

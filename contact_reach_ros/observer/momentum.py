@@ -64,13 +64,6 @@ class MomentumObserver:
         self.posture = np.zeros(model.arm.n)
         self._stamp_ns = 0
 
-    def reset(self) -> None:
-        """Forget the residual and the last state."""
-        self.residual = np.zeros_like(self.residual)
-        self.known_for = 0.0
-        self.updated_ns = None
-        self._momentum = self._filtered = None
-
     def update(self, q: Array, v: Array, torque: Array | None, stamp_ns: int) -> Array:
         """Take one state and return the residual, (n,), N m.
 

@@ -132,8 +132,7 @@ class SafetyMonitor:
         # For so few numbers loops over plain floats are faster than NumPy.
         torques, speeds, mean = residual.tolist(), v.tolist(), self._baseline.mean
         self._last_posture = q
-        above = False
-        touched = False
+        pushed = jumped = touched = False
         contact_limits = self._release_limits if self.in_contact else self._contact_limits
         joints = zip(torques, speeds, mean, self._stop_limits, contact_limits, strict=True)
         for torque, speed, slow, (threshold, per_speed, sudden_threshold), (contact, contact_per_speed) in joints:
@@ -145,20 +144,19 @@ class SafetyMonitor:
             if not -contact <= sudden <= contact:
                 touched = True
                 sudden_threshold += more
-                above = above or not -sudden_threshold <= sudden <= sudden_threshold
+                jumped = jumped or not -sudden_threshold <= sudden <= sudden_threshold
             threshold += more
-            if not -threshold <= torque <= threshold:
-                above = True
+            pushed = pushed or not -threshold <= torque <= threshold
         if known_for < HANDOVER_TIME:
             self._hand_over(residual)
             self._baseline.hand_over(residual, q)
             # Until the baseline is known, nothing can be called sudden.
-            above, touched = above and self._beyond_absolute(residual, v), False
+            jumped = touched = False
         else:
             self._overweight.lasts(False)
             self._baseline.follow(torques, q, self.in_contact)
-        if self._above.lasts(above):
-            self.stop(self._explain(residual, v))
+        if self._above.lasts(pushed or jumped):
+            self.stop(self._explain(pushed, residual, v))
         if self._touched.lasts(touched) and not self.in_contact:
             self.in_contact = True
             self.contacts += 1
@@ -214,20 +212,15 @@ class SafetyMonitor:
             )
             self.stop_distrusting(StopReason(StopCode.MODEL, text))
 
-    def _thresholds(self, v: Array) -> tuple[Array, Array]:
-        """Thresholds of the external torque and of the sudden one, (n,) N m each."""
+    def _explain(self, pushed: bool, residual: Array, v: Array) -> str:
+        """Why the arm is stopped: the external torque itself, or else the sudden one, is above its threshold."""
         more = np.array(self.budget.torque_per_speed) * np.abs(v)
-        return np.array(self.budget.torque_thresholds) + more, np.array(self.budget.sudden_thresholds) + more
-
-    def _beyond_absolute(self, residual: Array, v: Array) -> bool:
-        return not (np.abs(residual) <= self._thresholds(v)[0]).all()
-
-    def _explain(self, residual: Array, v: Array) -> str:
-        thresholds, sudden_thresholds = self._thresholds(v)
-        if self._beyond_absolute(residual, v):
-            code, kind, torques, limits = StopCode.EXTERNAL_TORQUE, "external", residual, thresholds
+        if pushed:
+            code, kind, torques = StopCode.EXTERNAL_TORQUE, "external", residual
+            limits = np.array(self.budget.torque_thresholds) + more
         else:
-            code, kind, torques, limits = StopCode.SUDDEN_TORQUE, "sudden external", self.sudden, sudden_thresholds
+            code, kind, torques = StopCode.SUDDEN_TORQUE, "sudden external", self.sudden
+            limits = np.array(self.budget.sudden_thresholds) + more
         joint = int(np.argmax(np.abs(torques) / limits))
         text = f"{kind} torque on {self._names[joint]} is {torques[joint]:.1f} Nm, permitted {limits[joint]:.3g} Nm"
         return StopReason(code, text)

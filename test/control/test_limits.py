@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.control.constants import REPULSION_MARGIN, make_constants, torque_rates
-from contact_reach_ros.control.kernels import limit_torque
+from contact_reach_ros.control.constants import make_constants, torque_rates
+from contact_reach_ros.control.kernels import REPULSION_MARGIN, limit_torque
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import LimitSettings
 

@@ -75,7 +75,7 @@ def test_known_friction_of_moving_joints_is_not_taken_for_a_push(kind, friction)
     for expected in (0.0, friction):
         observed = Observed(settings=MomentumSettings(**{kind: (expected,) * ARM.n}), joints=joints)
         observed.plant.data.qvel[:] = 0.5
-        observed.observer.reset()
+        observed.observer = MomentumObserver(observed.observer.settings, RobotModel(ARM))
         # These go on for a while; joints at rest stick, with less than the whole dry friction.
         moving = [0, 2, 4]
         largest[expected] = np.abs([observed.step()[moving] for _ in range(40)]).max()
@@ -178,7 +178,7 @@ def filtered_run(cutoff, settings, push=0.0):
     """Residuals of an arm that swings, and is pushed at half-time, whose torque arrives behind a low-pass."""
     observed = Observed(settings=settings, cutoff=cutoff)
     observed.plant.data.qvel[:] = [0.8, -0.6, 0.7, 0.8, -1.0, 0.9, 1.0]
-    observed.observer.reset()
+    observed.observer = MomentumObserver(observed.observer.settings, RobotModel(ARM))
     return np.array([observed.step(push * np.eye(ARM.n)[1] * (tick >= 200)) for tick in range(400)])
 
 
