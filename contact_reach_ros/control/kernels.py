@@ -560,13 +560,8 @@ def tracking_torque(
     """
     n, task_rows = len(v), int(constants[Constant.TASK_ROWS, 0])
     deviation = pose_error(position, rotation, reference_position, reference_rotation, task_rows)
-    vectors = np.empty((6, n + 3))
-    for i in range(6):
-        found[i] = deviation[i]
-        for k in range(n):
-            vectors[i, k] = jacobian[i, k]
-        vectors[i, n], vectors[i, n + 1], vectors[i, n + 2] = twist[i], drift[i], deviation[i]
-    rows = controlled(vectors, rotation, task_rows)
+    found[:6] = deviation
+    rows = controlled(np.column_stack((jacobian, twist, drift, deviation)), rotation, task_rows)
     factor, regular = factorise(mass_matrix, 0.0)
     if not regular:
         return np.full(n, np.nan)
