@@ -8,8 +8,8 @@ from arm_simulation import random_states
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.constants import JOINT_SHARE, body_of, make_constants
-from contact_reach_ros.control.kernels import IMPACT_ENERGY, body_shares, factorise, push_share
-from contact_reach_ros.control.settings import LimitSettings
+from contact_reach_ros.control.kernels import body_shares, factorise, push_share
+from contact_reach_ros.control.settings import IMPACT_ENERGY, LimitSettings
 
 LIMITS = LimitSettings()
 
