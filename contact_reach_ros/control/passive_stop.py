@@ -13,10 +13,10 @@ from contact_reach_ros.control.kernels import Constant, limit_torque, yielded
 
 BRAKING_TIME = 0.1
 """Time in which a moving arm is braked, s."""
-GIVING_TIME, GIVING_WAY = 0.8, 0.005
+GIVING_TIME, GIVING_WAY = 0.5, 0.005
 """Until when after the stop the hold gives way, s, and how far the tip then moves at most, m: so far that what the arm
 presses is let go, and no farther, as it may be a weight."""
-_GIVING_CONSTANT = 0.065
+_GIVING_CONSTANT = 0.04
 """Time constant with which its tension goes meanwhile, s."""
 _CARRIED_CONSTANT = 0.06
 """The same of the tension with which the stop begins, s."""

@@ -350,13 +350,14 @@ class ContactReach(PipelineEnv):
         # Progress counts from where the episode started.
         pose = Pose(jnp.stack([state.info["start"], tip.position]), jnp.stack([tip.rotation] * 2))
         force = after.link_force.max(axis=0)
-        outcome = jax.tree.map(lambda array: array[None], (after.reference, after.link_force, force, capsules))
+        reference, *forces = jax.tree.map(lambda array: array[None], (after.reference, after.link_force, force))
+        both = jax.tree.map(lambda *ends: jnp.stack(ends), self._objective.end_of_knot(before.q[:, None])[1], capsules)
         context = Context(
             arm,
             self.dt,
             self._problem,
             action[None, :, None],
-            Rollout(q, pose, *outcome),
+            Rollout(q, pose, reference, forces[0], forces[1], both),
             state.info["lead"],
             self._objective.system.gains.task,
         )

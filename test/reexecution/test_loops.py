@@ -61,7 +61,8 @@ def test_after_lost_messages_it_finds_into_step_again(tmp_path: Path) -> None:
     inputs = RecordedInputs(BagReader(tmp_path / "bag"))
     for found in (reexecute("controller", inputs), reexecute("observer", inputs)):
         assert found.first_difference is None
-        assert found.compared > 2600
+        # The controller's laws reach full authority within 500 states again.
+        assert found.compared > 2500
         assert any(note.startswith("50 messages that the") for note in found.notes)
 
 
