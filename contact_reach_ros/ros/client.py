@@ -28,7 +28,7 @@ from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
-from contact_reach_ros.ros.interfaces import OPERATOR, STOPPABLE
+from contact_reach_ros.ros.interfaces import OBSERVER, OPERATOR, STOPPABLE
 from contact_reach_ros.ros.process import bare_node, in_namespace
 
 PLANNER, CONTROLLER = "planner", "controller"
@@ -234,7 +234,8 @@ class StackClient(Client):
         name = topics.SAFETY_STATE.name
 
         def everybody() -> bool:
-            return CONTROLLER in self.safety and len(self.safety) >= self.node.count_publishers(name)
+            # Both are there, as a rule; others are counted as they are discovered.
+            return {CONTROLLER, OBSERVER} <= set(self.safety) and len(self.safety) >= self.node.count_publishers(name)
 
         self.until(everybody, _FOUND_S)
         self.wait_for(lambda: [] if CONTROLLER in self.safety else [f"{name} of the {CONTROLLER}"], 0.0)
