@@ -36,7 +36,9 @@ class ContactBudget(Settings):
     torque_per_speed: tuple[float, ...] = _per_joint(
         "increase of the thresholds that stop the arm with joint speed", "Nm s/rad", 0.0
     )
-    sudden_thresholds: tuple[float, ...] = _per_joint("sudden external torque on a joint that stops the arm", "Nm", 0.01)
+    sudden_thresholds: tuple[float, ...] = _per_joint(
+        "sudden external torque on a joint that stops the arm", "Nm", 0.01
+    )
     contact_thresholds: tuple[float, ...] = _per_joint(
         "sudden external torque on a joint that counts as contact", "Nm", 0.001
     )
