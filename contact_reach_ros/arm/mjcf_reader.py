@@ -41,14 +41,23 @@ def robot_of_mjcf(file: Path) -> tuple[Element, list[str]]:
         If MuJoCo refuses the file.
     """
     try:
-        spec = mujoco.MjSpec.from_file(str(file))
+        spec = _spec(file)
         spec.compiler.discardvisual = True
         model = spec.compile()
-        if not model.ngeom:
-            model = mujoco.MjModel.from_xml_path(str(file))
+        if not model.geom_bodyid.any():
+            model = _spec(file).compile()
     except (ValueError, mujoco.FatalError) as error:
         raise SettingsError(f"{file}: MuJoCo refuses it: {error}; mend what it names") from error
     return _Writer(model, spec.modelname or file.stem).write()
+
+
+def _spec(file: Path) -> mujoco.MjSpec:
+    if file.suffix == ".xml":
+        return mujoco.MjSpec.from_file(str(file))
+    # MuJoCo opens no file with another ending, nor one in capitals.
+    spec = mujoco.MjSpec.from_string(file.read_text())
+    spec.modelfiledir = str(file.parent)
+    return spec
 
 
 class _Writer:
