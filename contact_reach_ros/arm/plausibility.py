@@ -18,6 +18,8 @@ from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SettingsError
 
+LEAST_EFFORT = 0.1
+"""N m: for less there are no thresholds."""
 _ROUNDING = 1e-6
 """Share of the greatest moment of inertia by which the others may fall short of it together."""
 _LEAST_SHARE = 1e-3
@@ -41,24 +43,32 @@ class Faults:
     _limits: dict[str, str] = field(default_factory=dict)
     _inertias: dict[str, str] = field(default_factory=dict)
 
-    def limits(self, joint: str, text: str, keys: Sequence[str]) -> None:
-        """Note what is wrong with some limits of a joint."""
-        self._texts.append(text)
-        self._limits[joint] = ", ".join(f"{key}: ..." for key in keys)
+    def limits(self, joint: str, wrong: Mapping[str, float | None], why: str = "") -> None:
+        """Note limits of a joint that are wrong, rad, rad/s, N m, or missing, by their keys."""
+        found = ", ".join(f"no {key}" if value is None else f"{key} {value:g}" for key, value in wrong.items())
+        self._texts.append(f"joint '{joint}' has {found}{why}")
+        self._limits[joint] = ", ".join(f"{key}: ..." for key in wrong)
 
     def inertia(self, link: str, text: str, values: str) -> None:
         """Note what is wrong with the inertia of a link, and what to put in its place."""
-        self._texts.append(text)
+        self._texts.append(f"link '{link}' has {text}")
         self._inertias[link] = values
 
     def check(self, file: Path) -> None:
         """Raise `SettingsError` with all that was noted, if anything was; the message begins with the file."""
         if not self._texts:
             return
-        blocks = [("limits", self._limits, "rad, rad/s, Nm"), ("inertias", self._inertias, "kg, m, kg m²")]
-        lines = [f"{file}: {'; '.join(self._texts)}."]
-        lines.append(f"Mend the file, or put this, with numbers in place of dots, into {file.stem}.yaml beside it:")
-        for key, entries, units in blocks:
+        expected = []
+        if self._limits:
+            expected.append(f"lower < upper, a velocity above 0 and an effort of at least {LEAST_EFFORT:g} Nm")
+        if self._inertias:
+            expected.append("masses above 0 and moments of inertia of which none exceeds the sum of the others")
+        lines = [f"{file}: {'; '.join(self._texts)}. Expected {', '.join(expected)}: mend the file, or put this, with "]
+        lines[0] += f"numbers in place of dots, into {file.stem}.yaml beside it:"
+        for key, entries, units in (
+            ("limits", self._limits, "rad, rad/s, Nm"),
+            ("inertias", self._inertias, "kg, m, kg m²"),
+        ):
             if entries:
                 lines += [f"{key}: # {units}", *(f"  {_quoted(name)}: {{{each}}}" for name, each in entries.items())]
         raise SettingsError("\n".join(lines))
@@ -81,14 +91,13 @@ def check_inertia(faults: Faults, link: str, lumped: pin.Inertia, own: Mapping[s
         Inertias of the link and of those that are fixed to it, by name, each in its frame in the file.
     """
     if not lumped.mass > 0.0:
-        text = f"link '{link}' has no mass; expected one above 0 kg"
-        faults.inertia(link, text, "mass: ..., center: [...], tensor: [xx, yy, zz, xy, xz, yz]")
+        faults.inertia(link, "no mass", "mass: ..., center: [x, y, z], tensor: [xx, yy, zz, xy, xz, yz]")
     elif _excess(lumped):
         # A sum of inertias that bodies have is one that a body has.
         for name, inertia in own.items():
             if excess := _excess(inertia):
                 mend = f"mass: {inertia.mass:g}, center: {_listed(inertia.lever)}, tensor: {_balanced(inertia)}"
-                faults.inertia(name, f"link '{name}' has {excess}", mend)
+                faults.inertia(name, excess, mend)
 
 
 def _excess(inertia: pin.Inertia) -> str:
@@ -96,14 +105,11 @@ def _excess(inertia: pin.Inertia) -> str:
     moments = np.linalg.eigvalsh(inertia.inertia)
     values = ", ".join(f"{moment:.6g}" for moment in moments)
     if moments[0] <= 0.0:
-        return f"principal moments of inertia {values} kg m²; expected all above 0"
+        return f"principal moments of inertia {values} kg m², not all above 0"
     share = moments[2] / (moments[0] + moments[1]) - 1.0
     if share <= _ROUNDING:
         return ""
-    return (
-        f"principal moments of inertia {values} kg m²; the last is {100.0 * share:.4g} % above the sum of the others, "
-        "which it cannot exceed"
-    )
+    return f"principal moments of inertia {values} kg m², the last {100.0 * share:.4g} % above the sum of the others"
 
 
 def _balanced(inertia: pin.Inertia) -> str:
@@ -125,8 +131,8 @@ def check_weight(faults: Faults, arm: Arm) -> None:
     model = RobotModel(arm)
     for joint, torque in zip(arm.joints, np.abs(model.gravity_at(np.array(arm.home))), strict=True):
         if torque > joint.torque_limit:
-            text = f"joint '{joint.name}' needs {torque:.3g} Nm against gravity at home, more than its effort limit of"
-            faults.limits(joint.name, f"{text} {joint.torque_limit:g} Nm", ["effort"])
+            why = f" Nm, less than the {torque:.3g} Nm that gravity needs at home"
+            faults.limits(joint.name, {"effort": joint.torque_limit}, why)
 
 
 def doubts(arm: Arm, fits: Mapping[str, Fit]) -> list[str]:

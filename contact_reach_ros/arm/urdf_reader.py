@@ -25,7 +25,7 @@ from contact_reach_ros.arm.capsule_fit import Fit, frame_about
 from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
 from contact_reach_ros.arm.link_capsules import Part, link_capsules, placement, vector
 from contact_reach_ros.arm.mjcf import numbers
-from contact_reach_ros.arm.plausibility import Faults, check_inertia, check_weight, doubts
+from contact_reach_ros.arm.plausibility import LEAST_EFFORT, Faults, check_inertia, check_weight, doubts
 from contact_reach_ros.arm.robot_file import DESCRIPTIONS, read_robot_file
 from contact_reach_ros.arm.table import ARMATURE, ArmOptions, arm_of_table, check_lengths, converted
 from contact_reach_ros.arm.urdf_tree import (
@@ -50,8 +50,6 @@ _TIP = re.compile(r"(^|.*[_/])(tool0|tool_frame|tcp|attachment_site)$", re.IGNOR
 _GRIPPER = re.compile(r"jaw|finger|claw|knuckle|thumb", re.IGNORECASE)
 """In names of joints and of the links that they move, and gripper in those of joints: what grips is no part of the
 arm."""
-_LEAST_EFFORT = 0.1
-"""N m: for less there are no thresholds."""
 _ROUNDING = 1e-10
 _LINK = "link "
 """Prefix of links for Pinocchio, which finds frames by name: neither joints nor its universe have such a name."""
@@ -282,36 +280,22 @@ class _Reader:
 
     def _is_held(self, joint: UrdfJoint) -> bool:
         """Whether the options hold a joint, or the one that it mimics."""
-        if joint.name in self.options.fixed:
-            return True
         mimicked = joint.mimicked()
-        return mimicked is not None and self._leader(joint).name in self.options.fixed
-
-    def _leader(self, joint: UrdfJoint) -> UrdfJoint:
-        """The joint that one follows in the end: itself unless it mimics another."""
-        followed = [joint]
-        while mimicked := followed[-1].mimicked():
-            followed.append(self.tree.joints[mimicked[0]])
-            if len(followed) > len(self.tree.joints):
-                raise SettingsError(
-                    f"{self.file}: joint '{joint.name}' mimics itself; expected one that moves on its own in the end"
-                )
-        return followed[-1]
+        held = joint.name in self.options.fixed
+        return held or (mimicked is not None and self._is_held(self.tree.joints[mimicked[0]]))
 
     def _held_position(self, joint: UrdfJoint) -> float:
         """Position at which a joint is held, rad or m: as the options have it, as its leader's, or the nearest to 0."""
         position = self.options.fixed.get(joint.name)
         if position is not None:
             return position
-        if (mimicked := joint.mimicked()) is not None:
-            self._leader(joint)
+        if mimicked := joint.mimicked():
             leader, multiplier, offset = mimicked
             return multiplier * self._held_position(self.tree.joints[leader]) + offset
         limits = {**joint.limits(), **self.options.limits.get(joint.name, {})}
         position = min(max(0.0, limits.get("lower", -math.inf)), limits.get("upper", math.inf))
         assumption = f"fixed: {joint.name} at {position:g}, since it is not between base and tip"
-        if assumption not in self.assumed:
-            self.assumed.append(assumption)
+        self.assumed += [assumption] * (assumption not in self.assumed)
         return position
 
     def _joint(self, joint: UrdfJoint, place: pin.SE3, armature: float) -> Joint:
@@ -320,28 +304,17 @@ class _Reader:
         if joint.is_endless and not {"lower", "upper"} & set(given):
             self.assumed.append(f"limits: {joint.name}, which is continuous, turns once to either side")
         elif joint.soft_limits and not joint.soft_limits.keys() <= set(given):
-            narrower = f"from {limits['lower']:g} to {limits['upper']:g} rad"
-            self.assumed.append(f"limits: {joint.name} {narrower}, its soft limits")
-        missing = [key for key in LIMITS if key not in limits]
+            self.assumed.append(
+                f"limits: {joint.name} from {limits['lower']:g} to {limits['upper']:g} rad, its soft ones"
+            )
         lower, upper, velocity, effort = (limits.get(key, math.nan) for key in LIMITS)
-        where = f"joint '{joint.name}' has"
-        if missing:
-            wrong = f"{where} no {' and no '.join(missing)} limit"
-        elif not limits["lower"] < limits["upper"]:
-            wrong = f"{where} limits from {limits['lower']:g} to {limits['upper']:g} rad; expected lower < upper"
-            missing = ["lower", "upper"]
-        elif not limits["velocity"] > 0.0:
-            wrong, missing = f"{where} a velocity of {limits['velocity']:g} rad/s; expected one above 0", ["velocity"]
-        elif not limits["effort"] >= _LEAST_EFFORT:
-            wrong = f"{where} an effort of {limits['effort']:g} Nm; expected at least {_LEAST_EFFORT:g} Nm"
-            missing = ["effort"]
-        else:
-            wrong = ""
+        accepted = {"lower": lower < upper, "upper": lower < upper, "velocity": velocity > 0.0}
+        accepted["effort"] = effort >= LEAST_EFFORT
+        wrong = {key: limits.get(key) for key in LIMITS if not accepted[key]}
         if wrong:
-            self.faults.limits(joint.name, wrong, missing)
-        return Joint(
-            joint.name, vector(place.translation), _quaternion(place.rotation), lower, upper, velocity, effort, armature
-        )
+            self.faults.limits(joint.name, wrong)
+        turn = _quaternion(place.rotation)
+        return Joint(joint.name, vector(place.translation), turn, lower, upper, velocity, effort, armature)
 
     def _show_visuals(self, parts: Sequence[Part]) -> None:
         """Let visual geometry stand for that of parts which have no other, and no given capsules."""

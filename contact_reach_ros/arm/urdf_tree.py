@@ -149,6 +149,12 @@ def tree_of(robot: Element, file: Path) -> UrdfTree:
         if mimicked and mimicked[0] not in joints:
             raise SettingsError(f"{file}: joint '{joint.name}' mimics joint '{mimicked[0]}', which does not exist")
         above[joint.child] = joint
+    for joint in joints.values():
+        followed = [joint.name]
+        while (mimicked := joints[followed[-1]].mimicked()) is not None:
+            if mimicked[0] in followed:
+                raise SettingsError(f"{file}: joint '{joint.name}' mimics itself; expected one that moves on its own")
+            followed.append(mimicked[0])
     roots = [name for name in links if name not in above]
     if len(roots) != 1:
         found = ", ".join(f"'{name}'" for name in roots) or "none: the joints form a closed loop"

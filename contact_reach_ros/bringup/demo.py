@@ -36,6 +36,8 @@ _LINE_S = 1.0
 _DYING_S = 0.5
 _TIMEOUT_S = 30.0
 """Time of the robot's clock in which the goal must be reached, s."""
+_REFUSED_S = 3.0
+"""Time of the robot's clock after which refusals of the controller end the demo if it has accepted no plan, s."""
 _SETTLE_S = 1.2
 """Time of the robot's clock that is recorded after the goal was reached, s."""
 _MISSED_SHARE = 0.02
@@ -125,13 +127,17 @@ def _run(options: DemoOptions) -> tuple[int, float]:
 
 
 def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, view: bool) -> None:
-    """Send the goal (3,), m, and watch until it is reached or over, the arm is stopped or the time is up."""
+    """Send the goal (3,), m, and watch until it is reached or over, the arm is stopped or the time is up.
+
+    Raises `ContactReachError` with the reason if the goal is refused, or the controller refuses all plans for it.
+    """
     began = time.monotonic()
     if view:
         _say(f"the page will be at {page_address(stack.parameter_file)}", done=True)
     stack.bring_up(lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
     stack.wait_to_start(client)
     _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)
+    accepted, refuse_ns = client.plans_accepted, stack.stamp_ns + round(_REFUSED_S * NANOSECONDS)
     client.send_goal(target, stamp_ns=stack.stamp_ns)
     client.wait_for(lambda: [] if client.goal_state else [topics.GOAL_STATE.name])
     end_ns, said_at = stack.stamp_ns + round(_TIMEOUT_S * NANOSECONDS), 0.0
@@ -147,6 +153,10 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
             doing = f"stopped by {client.why_stopped}" if client.stops else client.safety[CONTROLLER]
             _say(f"{describe(state)}; {doing}", done=is_over or not sys.stdout.isatty())
             said_at = now
+        if state.phase is GoalPhase.REFUSED:
+            raise ContactReachError(f"the planner refuses the goal: {state.reason}")
+        if stack.stamp_ns > refuse_ns and client.plans_accepted == accepted and client.refusals:
+            raise ContactReachError(f"the controller accepts no plan for the goal: {client.refusals}")
         if is_over:
             return
         stack.watch(_LOOK_S)

@@ -221,10 +221,10 @@ LOST = '<mesh filename="package://x/y.stl"/>'
             {"loop": joint("loop", "part_7", "part_2")},
             "closed loop: joints 'joint_2' and 'loop' both move link 'part_2'",
         ),
-        ({"part_4": link("part_4", 0.0, ball())}, "link 'part_4' has no mass; .*arm.yaml.*inertias:.*part_4: {mass: "),
+        ({"part_4": link("part_4", 0.0, ball())}, "link 'part_4' has no mass.*arm.yaml.*inertias:.*part_4: {mass: "),
         (
             {"joint_5": joint("joint_5", "part_4", "part_5", extra="")},
-            "'joint_5' has no lower and no upper .*arm.yaml.*limits:.*joint_5: {lower: ",
+            "'joint_5' has no lower, no upper.*limits:.*joint_5: {lower: ",
         ),
         (
             {"part_2": link("part_2", extra=collision(LOST))},
