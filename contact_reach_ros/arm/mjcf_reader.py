@@ -33,7 +33,7 @@ _BOXES = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_ELLIPSOID))
 def robot_of_mjcf(file: Path) -> tuple[Element, list[str]]:
     """The robot in an MJCF, and what was assumed: its bodies and sites are links, and the world is the root.
 
-    Geometry that touches nothing counts only where there is no other in the file; floors of the world do not count.
+    Geometry that touches nothing is visual; floors of the world do not count.
 
     Raises
     ------
@@ -41,20 +41,15 @@ def robot_of_mjcf(file: Path) -> tuple[Element, list[str]]:
         If MuJoCo refuses the file.
     """
     try:
-        spec = _spec(file)
-        spec.compiler.discardvisual = True
+        # MuJoCo opens no file with another ending, nor one in capitals.
+        spec = mujoco.MjSpec.from_file(str(file)) if file.suffix == ".xml" else _in_folder(file)
         model = spec.compile()
-        if not model.geom_bodyid.any():
-            model = _spec(file).compile()
     except (ValueError, mujoco.FatalError) as error:
         raise SettingsError(f"{file}: MuJoCo refuses it: {error}; mend what it names") from error
     return _Writer(model, spec.modelname or file.stem).write()
 
 
-def _spec(file: Path) -> mujoco.MjSpec:
-    if file.suffix == ".xml":
-        return mujoco.MjSpec.from_file(str(file))
-    # MuJoCo opens no file with another ending, nor one in capitals.
+def _in_folder(file: Path) -> mujoco.MjSpec:
     spec = mujoco.MjSpec.from_string(file.read_text())
     spec.modelfiledir = str(file.parent)
     return spec
@@ -141,10 +136,11 @@ class _Writer:
         model, kind, size = self._model, int(self._model.geom_type[geom]), self._model.geom_size[geom]
         if kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD) and not model.geom_bodyid[geom]:
             return
-        collision = SubElement(link, "collision")
+        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
+        element = SubElement(link, "collision" if collides else "visual")
         place = _place(model.geom_pos[geom], model.geom_quat[geom])
-        _add_origin(collision, place)
-        geometry = SubElement(collision, "geometry")
+        _add_origin(element, place)
+        geometry = SubElement(element, "geometry")
         if kind in _ROUND:
             length = {} if _ROUND[kind] == "sphere" else {"length": repr(2.0 * float(size[1]))}
             SubElement(geometry, _ROUND[kind], {"radius": repr(float(size[0])), **length})

@@ -39,6 +39,10 @@ _LOOSE = 2.5
 class Faults:
     """What is wrong with the limits and inertias of an arm, and the YAML block that mends it."""
 
+    file: Path
+    """The robot's."""
+    options: Path
+    """The YAML file that the block belongs into."""
     _texts: list[str] = field(default_factory=list)
     _limits: dict[str, str] = field(default_factory=dict)
     _inertias: dict[str, str] = field(default_factory=dict)
@@ -54,8 +58,8 @@ class Faults:
         self._texts.append(f"link '{link}' has {text}")
         self._inertias[link] = values
 
-    def check(self, file: Path) -> None:
-        """Raise `SettingsError` with all that was noted, if anything was; the message begins with the file."""
+    def check(self) -> None:
+        """Raise `SettingsError` with all that was noted, if anything was; the message begins with the robot's file."""
         if not self._texts:
             return
         expected = []
@@ -63,8 +67,10 @@ class Faults:
             expected.append(f"lower < upper, a velocity above 0 and an effort of at least {LEAST_EFFORT:g} Nm")
         if self._inertias:
             expected.append("masses above 0 and moments of inertia of which none exceeds the sum of the others")
-        lines = [f"{file}: {'; '.join(self._texts)}. Expected {', '.join(expected)}: mend the file, or put this, with "]
-        lines[0] += f"numbers in place of dots, into {file.stem}.yaml beside it:"
+        lines = [
+            f"{self.file}: {'; '.join(self._texts)}. Expected {', '.join(expected)}: mend the file, or put this, with "
+        ]
+        lines[0] += f"numbers in place of dots, into {self.options}:"
         for key, entries, units in (
             ("limits", self._limits, "rad, rad/s, Nm"),
             ("inertias", self._inertias, "kg, m, kg m²"),

@@ -67,8 +67,8 @@ class Reading(NamedTuple):
     """What is accepted although it is hardly that of a real arm, in words."""
 
 
-def read_arm(file: Path, options: ArmOptions | None = None) -> Reading:
-    """Make an arm of a URDF, xacro or MJCF file.
+def read_arm(file: Path, options: ArmOptions | None = None, options_file: Path | None = None) -> Reading:
+    """Make an arm of a URDF, xacro or MJCF file; `options_file` is where errors say that options belong.
 
     Each link's frame is the URDF's, turned so that the joint turns about its z axis; links joined by fixed joints are
     one link.
@@ -81,14 +81,16 @@ def read_arm(file: Path, options: ArmOptions | None = None) -> Reading:
     """
     options = options or ArmOptions()
     found = read_robot_file(file, options)
-    return _Reader(tree_of(found.robot, file), file, options, found.assumed).read()
+    return _Reader(tree_of(found.robot, file), file, options, found.assumed, options_file).read()
 
 
 class _Reader:
-    def __init__(self, tree: UrdfTree, file: Path, options: ArmOptions, assumed: Sequence[str]) -> None:
+    def __init__(
+        self, tree: UrdfTree, file: Path, options: ArmOptions, assumed: Sequence[str], options_file: Path | None
+    ) -> None:
         self.tree, self.file, self.options = tree, file, options
         self.assumed = list(assumed)
-        self.faults = Faults()
+        self.faults = Faults(file, options_file or file.with_name(f"{_stem(file)}.yaml"))
         for key in ("fixed", "limits"):
             self._check_names(key, getattr(options, key), tree.joints, "joint")
         for key in ("inertias", "capsules"):
@@ -118,7 +120,7 @@ class _Reader:
             inertias.append(_inertia(parts[number], model.inertias[number]))
             own = {name: each for name in parts[number].places if (each := self._own_inertia(name)) is not None}
             check_inertia(self.faults, parts[number].link, model.inertias[number], own)
-        self.faults.check(self.file)
+        self.faults.check()
         tip_place = parts[-1].places[tip]
         self._show_visuals(parts)
         found = link_capsules(tree.links, self.file, options, parts, joints[0])
@@ -141,7 +143,7 @@ class _Reader:
         )
         arm = self._completed(arm)
         check_weight(self.faults, arm)
-        self.faults.check(self.file)
+        self.faults.check()
         return Reading(arm, found.fits, self.assumed, doubts(arm, found.fits))
 
     def _completed(self, arm: Arm) -> Arm:
@@ -245,7 +247,8 @@ class _Reader:
                 kind = joint.kind if joint.kind in ("fixed", "prismatic") else "revolute"
                 label = f"joint of {joint.child}"
                 copied = SubElement(robot, "joint", name=label, type=kind)
-                copied.extend(each for each in joint.element if each.tag in ("origin", "axis"))
+                copied.extend(joint.element.findall("origin"))
+                copied.extend(joint.element.findall("axis") if kind != "fixed" else ())
                 SubElement(copied, "parent", link=_LINK + name)
                 SubElement(copied, "child", link=_LINK + joint.child)
                 SubElement(copied, "limit", dict.fromkeys(LIMITS, "0"))
@@ -382,12 +385,13 @@ def read_arm_file(file: Path) -> Reading:
     if file.suffix.lower() in DESCRIPTIONS:
         beside = _beside(file, _YAML)
         options = ArmOptions() if beside is None else converted(read_yaml(beside), ArmOptions, str(beside))
-        return read_arm(file, options)
+        return read_arm(file, options, beside)
     content = read_yaml(file)
     if _OF_TABLES in content:
         return Reading(arm_of_table(content, str(file)), {}, [], [])
     options = converted(content, ArmOptions, str(file))
-    return read_arm(file.parent / options.urdf if options.urdf else _beside(file, DESCRIPTIONS) or file, options)
+    robot = file.parent / options.urdf if options.urdf else _beside(file, DESCRIPTIONS) or file.with_suffix(".urdf")
+    return read_arm(robot, options, file)
 
 
 def _beside(file: Path, endings: Sequence[str]) -> Path | None:

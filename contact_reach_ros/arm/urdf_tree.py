@@ -178,10 +178,10 @@ def _joint(element: Element, where: str) -> UrdfJoint:
     ends = [end.get("link", "") for tag in ("parent", "child") if (end := element.find(tag)) is not None]
     if len(ends) != 2:
         raise SettingsError(f"{where}: expected <parent link=...> and <child link=...>")
-    axis = element.find("axis")
-    if axis is not None and not any(map(float, axis.get("xyz", "1 0 0").split())):
+    axis, kind = element.find("axis"), element.get("type", "")
+    if axis is not None and kind != "fixed" and not any(map(float, axis.get("xyz", "1 0 0").split())):
         raise SettingsError(f"{where}: axis = '{axis.get('xyz')}'; expected a vector that is not zero")
-    return UrdfJoint(element.get("name", ""), element.get("type", ""), ends[0], ends[1], element)
+    return UrdfJoint(element.get("name", ""), kind, ends[0], ends[1], element)
 
 
 def check_numbers(element: Element, where: str) -> None:

@@ -103,7 +103,7 @@ def test_an_effort_that_leaves_no_threshold_is_refused_with_joint_and_reason(tmp
 
 def block_of(error: SettingsError) -> dict:
     """The YAML that a message asks for."""
-    return yaml.safe_load(str(error).split("beside it:\n")[1])
+    return yaml.safe_load(str(error).split("arm.yaml:\n")[1])
 
 
 def test_all_that_is_missing_is_said_at_once_with_the_block_that_mends_it(tmp_path):
@@ -301,6 +301,11 @@ def test_limits_without_end_and_soft_limits(tmp_path):
 def test_what_no_reader_can_mean_is_refused(text, expected, tmp_path):
     with pytest.raises(SettingsError, match=f"^{tmp_path}/arm.urdf: .*{expected}"):
         read(tmp_path, text)
+
+
+def test_fixed_joints_have_no_axis_that_counts(tmp_path):
+    text = six_joints(fixed("l6", "tool").replace('axis xyz="0 0 1"', 'axis xyz="0 0 0"'))
+    assert read(tmp_path, text).arm.n == 6
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "iso-8859-1"])
