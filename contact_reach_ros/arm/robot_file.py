@@ -37,13 +37,14 @@ def read_robot_file(file: Path, options: ArmOptions) -> RobotFile:
     SettingsError
         If the file cannot be read, is none of these, or `xacro` is not installed; the message names the file.
     """
-    root = _parsed(_content(file), file)
+    content = _content(file)
+    root = _parsed(content, file)
     if root.tag == "mujoco":
         # MuJoCo is loaded for its own files only.
         from contact_reach_ros.arm.mjcf_reader import robot_of_mjcf
 
         return RobotFile(*robot_of_mjcf(file))
-    if any(element.tag.startswith("xacro:") for element in root.iter()):
+    if b"${" in content or b"$(" in content or any(element.tag.startswith("xacro:") for element in root.iter()):
         root = _parsed(_expanded(file, options), file)
     if root.tag != "robot":
         raise SettingsError(f"{file}: its root is <{root.tag}>; expected <robot> (URDF, xacro) or <mujoco> (MJCF)")

@@ -36,7 +36,7 @@ _LINE_S = 1.0
 _DYING_S = 0.5
 _TIMEOUT_S = 30.0
 """Time of the robot's clock in which the goal must be reached, s."""
-_REFUSED_S = 3.0
+_REFUSED_S = 2.0
 """Time of the robot's clock after which refusals of the controller end the demo if it has accepted no plan, s."""
 _SETTLE_S = 1.2
 """Time of the robot's clock that is recorded after the goal was reached, s."""

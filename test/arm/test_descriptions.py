@@ -362,10 +362,11 @@ def test_a_xacro_file_is_expanded_with_its_arguments_and_packages(tmp_path):
         read_arm_file(file)
 
 
-def test_without_xacro_its_command_is_said(tmp_path, monkeypatch):
+@pytest.mark.parametrize("end", ["<xacro:x/>", fixed("l6", "${tip}")])
+def test_without_xacro_its_command_is_said(end, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "xacro", None)
     with pytest.raises(SettingsError, match="install it: pip install xacro"):
-        read(tmp_path, six_joints("<xacro:x/>"), name="arm.xacro")
+        read(tmp_path, six_joints(end), name="arm.xacro")
 
 
 MJCF = """<mujoco model="odd"><compiler angle="degree" autolimits="true"/>
