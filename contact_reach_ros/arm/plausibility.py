@@ -12,7 +12,6 @@ import pinocchio as pin
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.capsule_fit import Fit
 from contact_reach_ros.arm.capsules import shapes
 from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
 from contact_reach_ros.arm.model import RobotModel
@@ -31,8 +30,6 @@ _WIDE = 0.25
 """Radius of gyration by the arm's reach above which an inertia is hardly real; rods of half the reach have 0.15."""
 _ALIKE = 3
 """So many links, if they are most of all, are hardly alike."""
-_LOOSE = 2.5
-"""Volume of a capsule by that of its shapes' convex hull above which several capsules are better."""
 
 
 @dataclass
@@ -141,8 +138,8 @@ def check_weight(faults: Faults, arm: Arm) -> None:
             faults.limits(joint.name, {"effort": joint.torque_limit}, why)
 
 
-def doubts(arm: Arm, fits: Mapping[str, Fit]) -> list[str]:
-    """What is hardly that of a real arm, in words: weights, inertias, and capsules that cover far more than the arm."""
+def doubts(arm: Arm) -> list[str]:
+    """What is hardly that of a real arm, in words: efforts, masses and inertias."""
     model, inertias = RobotModel(arm), arm.inertias()
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSTURES, arm.n))
     most = np.max([np.abs(model.gravity_at(q)) for q in postures], axis=0)
@@ -170,11 +167,6 @@ def doubts(arm: Arm, fits: Mapping[str, Fit]) -> list[str]:
     ]
     if wide:
         found.append(f"inertias: radii of gyration are too large for a reach of {arm.reach:g} m: {', '.join(wide)}")
-    found += [
-        f"capsules: that of {link} has {fit.volume_ratio:.1f} times the volume of its shapes; give it several"
-        for link, fit in fits.items()
-        if fit.volume_ratio > _LOOSE
-    ]
     return found
 
 

@@ -144,7 +144,7 @@ class _Reader:
         arm = self._completed(arm)
         check_weight(self.faults, arm)
         self.faults.check()
-        return Reading(arm, found.fits, self.assumed, doubts(arm, found.fits))
+        return Reading(arm, found.fits, self.assumed, doubts(arm))
 
     def _completed(self, arm: Arm) -> Arm:
         """The arm with shoulder, reach, home and thresholds."""
@@ -320,19 +320,25 @@ class _Reader:
         return Joint(joint.name, vector(place.translation), turn, lower, upper, velocity, effort, armature)
 
     def _show_visuals(self, parts: Sequence[Part]) -> None:
-        """Let visual geometry stand for that of parts which have no other, and no given capsules."""
+        """Let visual geometry stand for that of moving parts, and of fixed bodies, which have no other.
+
+        Fixed links without a mass are taken for marks, unless no fixed link has any geometry that counts.
+        """
         shown = []
-        for part in parts:
-            links = [self.tree.links[name] for name in part.places]
-            if any(link.find("collision") is not None for link in links) or part.places.keys() & self.options.capsules:
+        bodies = [(name,) for name in parts[0].places if self._own_inertia(name) is not None]
+        for names in (*bodies, *(tuple(part.places) for part in parts)):
+            links = [self.tree.links[name] for name in names]
+            if any(link.find("collision") is not None for link in links) or set(names) & set(self.options.capsules):
                 continue
             visuals = [(link, visual) for link in links for visual in link.findall("visual")]
             for link, visual in visuals:
                 visual.tag = "collision"
                 check_numbers(link, f"{self.file}: link '{link.get('name')}'")
-            shown += [part.link] * bool(visuals)
+            shown += [link.get("name", "") for link, _ in visuals]
         if shown:
-            self.assumed.append(f"capsules: by visual geometry, since there is no other: {', '.join(shown)}")
+            self.assumed.append(
+                f"capsules: by visual geometry, since there is no other: {', '.join(dict.fromkeys(shown))}"
+            )
 
 
 def _parts(model: pin.Model, base: str, moving: Sequence[UrdfJoint]) -> list[Part]:

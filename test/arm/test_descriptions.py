@@ -183,15 +183,6 @@ def test_what_is_hardly_real_is_said(changed, expected, tmp_path):
         assert [line for line in found if re.search(expected, line)], found
 
 
-def test_a_capsule_much_larger_than_its_shapes_is_named(tmp_path):
-    corner = '<collision><origin xyz="{}"/><geometry><box size="{}"/></geometry></collision>'
-    shape = corner.format("0.2 0 0", "0.4 0.02 0.02") + corner.format("0 0.2 0", "0.02 0.4 0.02")
-    reading = read(tmp_path, six_joints(l3=link("l3", 2.0, shape)))
-    named = [line for line in reading.doubts if line.startswith("capsules:")]
-    assert [line for line in named if "that of l3" in line] and reading.fits["l3"].volume_ratio > 2.5
-    assert not any("that of l4" in line for line in named)
-
-
 END = fixed("l6", "tool0") + fixed("l6", "camera")
 
 
@@ -319,9 +310,12 @@ def test_prefixes_that_nobody_declared_and_other_encodings_do_no_harm(encoding, 
 
 def test_visual_geometry_stands_for_what_has_no_other(tmp_path):
     visual = BALL.replace("collision", "visual")
-    reading = read(tmp_path, six_joints(base=link("base", 5.0, visual), l4=link("l4", 1.5, visual)))
+    changed = {"base": link("base", 5.0, visual), "l4": link("l4", 1.5, visual), "l5": link("l5", 1.0, visual + BALL)}
+    reading = read(tmp_path, six_joints(**changed, mark=fixed("base", "mark", link("mark", shape=visual))))
     assert {capsule.link for capsule in reading.arm.capsules} >= {2, 3, 4, 5, 6}
-    assert any("visual geometry" in line and line.endswith("base, l4") for line in reading.assumed)
+    assert any(line.endswith("since there is no other: base, l4") for line in reading.assumed)
+    given = ArmOptions(capsules={"l4": ()})
+    assert 4 not in {capsule.link for capsule in read(tmp_path, six_joints(**changed), given).arm.capsules}
 
 
 def test_packages_have_the_names_that_they_say(tmp_path):
