@@ -270,12 +270,12 @@ class StackClient(Client):
         self.hear_stops()
         if self.stops:
             return Outcome(False, f"not sent, the arm is stopped: {self.why_stopped}; first: contact-reach reset")
-        before = self.plans_accepted
+        before = self._plans_accepted()
         self.send_goal(position, rotation)
 
         def is_judged() -> bool:
             state = self.goal_state
-            return bool(self.stops) or (state is not None and (state.phase.is_over or self.plans_accepted > before))
+            return bool(self.stops) or (state is not None and (state.phase.is_over or self._plans_accepted() > before))
 
         self.until(is_judged, _FOLLOWED_S)
         if self.stops:
@@ -284,7 +284,7 @@ class StackClient(Client):
             return Outcome(False, "nothing heard of the goal; run contact-reach doctor")
         if self.goal_state.phase.is_over:
             return Outcome(False, f"the planner did not take the goal: {describe(self.goal_state)}")
-        if self.plans_accepted == before:
+        if self._plans_accepted() == before:
             reasons = self.refusals or "run contact-reach doctor"
             return Outcome(False, f"the controller accepts no plan for the goal: {reasons}")
         return Outcome(True, "the goal is taken: the controller follows the plans for it")
@@ -316,15 +316,13 @@ class StackClient(Client):
         return "; ".join(f"{name}: {reason}" for name, reason in self.stops.items())
 
     @property
-    def plans_accepted(self) -> int:
-        """Number of plans that the controller has accepted, as it last reported; 0 before it did."""
-        return int(self.diagnostics.get(CONTROLLER, {}).get("plans accepted", 0))
-
-    @property
     def refusals(self) -> str:
-        """What the controller refused last, and why, as it last reported; empty for nothing."""
+        """Why the controller last refused something, as it reports it; empty where it has refused nothing."""
         reported = self.diagnostics.get(CONTROLLER, {}).items()
         return "; ".join(text for key, text in reported if key.startswith("last refusal"))
+
+    def _plans_accepted(self) -> int:
+        return int(self.diagnostics[CONTROLLER].get("plans accepted", 0))
 
     def _on_goal_state(self, message: DiagnosticStatus) -> None:
         stamp_ns, state = read_goal_state(message)

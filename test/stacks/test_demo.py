@@ -190,7 +190,7 @@ def test_refusals_end_the_demo_with_their_reason(tmp_path, capfd):
     files = ("--parameters", str(parameters), "--output", str(tmp_path))
     assert contact_reach("demo", "--lockstep", "--scene", "free", *files) == 1
     text = capfd.readouterr()
-    assert "demo: the controller accepts no plan for the goal: " in text.err and "workspace_maximum" in text.err
+    assert "demo: the controller follows no plan: " in text.err and "workspace_maximum" in text.err
     # The last line of progress before that.
     assert max(map(float, TIME.findall(text.out)), default=0.0) < 6.0
 
