@@ -77,7 +77,7 @@ class _Writer:
                 SubElement(self._robot, "link", name=name)
                 place = _place(model.site_pos[site], model.site_quat[site])
                 self._add_joint(f"{name} mount", "fixed", place, self._bodies[model.site_bodyid[site]], name)
-        return self._robot, [f"limits: velocity of all joints {_SPEED:g} rad/s, since MJCF has none"]
+        return self._robot, [f"limits: velocity {_SPEED:g} rad/s where none is given, since MJCF has none"]
 
     def _add_joints(self, body: int) -> None:
         """The joints of a body, one after the other about their anchors, with links between them."""

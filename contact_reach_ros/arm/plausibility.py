@@ -12,7 +12,6 @@ import pinocchio as pin
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.capsules import shapes
 from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SettingsError
@@ -150,7 +149,7 @@ def doubts(arm: Arm) -> list[str]:
         if torque > joint.torque_limit
     ]
     mass = sum(inertia.mass for inertia in inertias)
-    volume = sum(_volume(shape.start, shape.end, shape.radius) for shape in shapes(arm)[1:])
+    volume = sum(_volume(shape.start, shape.end, shape.radius) for shape in arm.capsules)
     if mass < _LIGHT * volume:
         found.append(
             f"inertias: the moving links weigh {mass:.3g} kg in {1e3 * volume:.3g} litres; these are placeholders"
