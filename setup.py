@@ -82,6 +82,7 @@ setup(
             "pytest",
             "pytest-xdist",
             "ruff",
+            "xacro",
         ],
     },
     entry_points={

@@ -14,6 +14,8 @@ from contact_reach_ros.errors import SettingsError
 REACH_SHARE = 0.9
 """Of the greatest distance of the tip from the shoulder, up to which goals are accepted."""
 _POSTURES = 20000
+_PROPORTIONAL = 6.0
+"""Stopping thresholds, N m, below which the least values of the others are in proportion."""
 _HOME_MARGIN = 0.35
 """Least distance of the home posture from joint limits, rad, unless their range is too small for it."""
 
@@ -23,16 +25,18 @@ def defaults(arm: Arm) -> dict[str, tuple[float, ...]]:
 
     A joint stops the arm at 14 % of its torque limit, but at 8 to 30 N m, or at half the limit where that is less; the
     others are shares of this one. Those of the iiwa 14, which were chosen by measurement, are met within 1.5 N m.
+    Small joints, such as those of servos, have all of them in proportion.
     """
     limits = arm.torque_limits
     stop = np.minimum(np.clip(0.14 * limits, 8.0, 30.0), 0.5 * limits)
+    small = np.minimum(stop / _PROPORTIONAL, 1.0)
     shares = {
         "torque_thresholds": stop,
-        "torque_per_speed": np.clip(stop / 15.0, 1.0, 2.0),
+        "torque_per_speed": np.clip(stop / 15.0, small, 2.0),
         "sudden_thresholds": 0.4 * stop,
-        "contact_thresholds": np.clip(stop / 12.0, 1.4, 2.5),
-        "contact_per_speed": np.clip(stop / 30.0, 0.5, 1.0),
-        "handover_thresholds": np.clip(0.25 * stop, 3.0, 10.0),
+        "contact_thresholds": np.clip(stop / 12.0, 1.4 * small, 2.5),
+        "contact_per_speed": np.clip(stop / 30.0, 0.5 * small, 1.0),
+        "handover_thresholds": np.clip(0.25 * stop, 3.0 * small, 10.0),
         # Zeros, as far as they are well within the limits.
         "reference_posture": np.clip(0.0, arm.lower + _HOME_MARGIN, arm.upper - _HOME_MARGIN),
     }

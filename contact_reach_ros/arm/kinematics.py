@@ -96,3 +96,9 @@ def tensor_matrix(tensor: tuple[float, ...]) -> Array:
     """Symmetric matrix (3, 3) of an inertia given as (xx, yy, zz, xy, xz, yz)."""
     xx, yy, zz, xy, xz, yz = tensor
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def tensor_values(matrix: Array) -> tuple[float, float, float, float, float, float]:
+    """An inertia (3, 3) as (xx, yy, zz, xy, xz, yz)."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix.tolist()
+    return xx, yy, zz, xy, xz, yz

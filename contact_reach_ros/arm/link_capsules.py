@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -19,6 +18,7 @@ from contact_reach_ros.arm.arm import Capsule, Joint, Vector3
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsule_fit import Fit, fit_capsule
 from contact_reach_ros.arm.kinematics import rotation_about, rotation_from_quaternion
+from contact_reach_ros.arm.robot_file import POINTS, find_mesh
 from contact_reach_ros.arm.table import ArmOptions
 from contact_reach_ros.errors import SettingsError
 
@@ -28,8 +28,6 @@ _WIDE = 1.3
 """Factor on the radius of the base's capsule up to which the swept first link belongs to it."""
 _RIM = 24
 """Points on the rim of a cylinder; their polygon is around the circle."""
-_SCHEME = "package://"
-_PREFIX_PATHS = ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
 
 
 class Part(NamedTuple):
@@ -138,14 +136,15 @@ def _part_balls(links: Mapping[str, Element], file: Path, options: ArmOptions, p
     for name, place in part.places.items():
         where = f"{file}: link '{name}'"
         for element in links[name].findall("collision"):
-            at = place * _placement(element.find("origin"))
+            at = place * placement(element.find("origin"))
             for shape in element.findall("geometry/*"):
                 balls = _mesh_balls(shape, file, options, where) if shape.tag == "mesh" else _balls(shape, where)
                 found.append(_moved(balls, at.rotation, at.translation))
     return np.concatenate(found)
 
 
-def _placement(origin: Element | None) -> pin.SE3:
+def placement(origin: Element | None) -> pin.SE3:
+    """Where an <origin> places something; at the frame itself without one."""
     if origin is None:
         return pin.SE3.Identity()
     return pin.SE3(pin.rpy.rpyToMatrix(_numbers(origin, "rpy", "0 0 0")), _numbers(origin, "xyz", "0 0 0"))
@@ -154,6 +153,8 @@ def _placement(origin: Element | None) -> pin.SE3:
 def _balls(shape: Element, where: str) -> Array:
     """Centres and radii (N, 4), m, of balls whose convex hull covers a box, cylinder, sphere or capsule."""
     sizes = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
+    if shape.tag == POINTS:
+        return _with_radius(_numbers(shape, "at").reshape(-1, 3), 0.0)
     if shape.tag not in sizes:
         raise SettingsError(
             f"{where}: collision: geometry <{shape.tag}> is unknown; expected box, cylinder, sphere, capsule or mesh"
@@ -179,7 +180,7 @@ def _balls(shape: Element, where: str) -> Array:
 def _mesh_balls(shape: Element, urdf: Path, options: ArmOptions, where: str) -> Array:
     """The outer vertices of a mesh as balls (N, 4) without a radius, m."""
     name = shape.get("filename", "")
-    path = _mesh_file(name, urdf, options.packages)
+    path = find_mesh(name, urdf, options.packages)
     mend = "give the folder of its package under packages, or the link's capsules under capsules ([] for none)"
     if path is None:
         raise SettingsError(f"{where}: mesh '{name}' is not found; {mend}")
@@ -199,19 +200,6 @@ def _unit(mesh: Path) -> float:
     """Metres in a unit of a mesh, which COLLADA files give and coal leaves aside."""
     unit = ElementTree.parse(mesh).find("{*}asset/{*}unit") if mesh.suffix.lower() == ".dae" else None
     return 1.0 if unit is None else float(unit.get("meter", "1"))
-
-
-def _mesh_file(name: str, urdf: Path, packages: Mapping[str, str]) -> Path | None:
-    """The file that a URDF names: beside it, or in a package that is given, above it, or installed."""
-    if not name.startswith(_SCHEME):
-        path = urdf.parent / name.removeprefix("file://")
-        return path if path.is_file() else None
-    package, _, rest = name.removeprefix(_SCHEME).partition("/")
-    given = [urdf.parent / packages[package]] if package in packages else []
-    installed = [Path(prefix) for key in _PREFIX_PATHS for prefix in os.environ.get(key, "").split(":") if prefix]
-    around = [*urdf.resolve().parents, *(prefix / "share" for prefix in installed), *installed]
-    folders = [*given, *(folder / package for folder in around)]
-    return next((folder / rest for folder in folders if (folder / rest).is_file()), None)
 
 
 def _numbers(element: Element, key: str, default: str = "") -> Array:

@@ -56,7 +56,7 @@ class RobotModel:
             file.write_text(build_mjcf(arm, inertia_set))
             self.pinocchio: pin.Model = pin.buildModelFromMJCF(str(file))
         self.data: pin.Data = self.pinocchio.createData()
-        self.tip: int = self.pinocchio.getFrameId(arm.tip_frame)
+        self.tip: int = self.pinocchio.getFrameId(arm.tip_frame, pin.FrameType.BODY)
         self._no_acceleration = np.zeros(arm.n)
         # Views of Pinocchio's own memory, which stays where it is.
         self.mass_matrix, self.bias, self.gravity = self.data.M, self.data.nle, self.data.g

@@ -20,7 +20,7 @@ _WIDTH = 100
 """Of lines in tables."""
 _ROUNDING = 1e-10
 
-_ARMATURE = 0.01
+ARMATURE = 0.01
 """Reflected inertia of motor and gears unless it is given, kg m²."""
 
 T = TypeVar("T")
@@ -37,10 +37,10 @@ class GivenCapsule:
 
 @dataclass(frozen=True)
 class ArmOptions:
-    """What a YAML file beside a URDF may say; all of it has a default where the URDF leaves no choice."""
+    """What a YAML file beside a robot's file may say; all of it has a default where the URDF leaves no choice."""
 
     urdf: str = ""
-    """Path of the URDF, from the YAML file's folder; by default the file of the same name."""
+    """Path of the URDF, xacro or MJCF file, from the YAML file's folder; by default the one of the same name."""
     name: str = ""
     """By default the URDF's."""
     base: str = ""
@@ -58,9 +58,11 @@ class ArmOptions:
     capsules: Mapping[str, tuple[GivenCapsule, ...]] = field(default_factory=dict)
     """By link, instead of fitted ones; with those of the links that are fixed to it."""
     packages: Mapping[str, str] = field(default_factory=dict)
-    """Folders of ROS packages that meshes are in."""
-    armature: float | tuple[float, ...] = _ARMATURE
-    """Reflected inertia of motors and gears, for all joints or each, kg m²."""
+    """Folders of ROS packages that meshes and xacro files are in."""
+    xacro: Mapping[str, str | float | bool] = field(default_factory=dict)
+    """Arguments of a xacro file."""
+    armature: float | tuple[float, ...] | None = None
+    """Reflected inertia of motors and gears, for all joints or each, kg m²; by default the MJCF's, or `ARMATURE`."""
     reach: float | None = None
     """Greatest distance of the tip from the shoulder at which goals are accepted, m."""
     thresholds: Mapping[str, tuple[float, ...]] = field(default_factory=dict)

@@ -52,7 +52,8 @@ def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
         SubElement(element, "limit", limits)
         parent = name
     SubElement(robot, "link", name=arm.tip_frame)
-    flange = SubElement(robot, "joint", name=f"{arm.tip_frame}_joint", type="fixed")
+    mount = f"{arm.tip_frame}_joint"
+    flange = SubElement(robot, "joint", name=mount if mount not in arm.joint_names else f"{mount}_fixed", type="fixed")
     turn = rotation_from_quaternion(arm.tip_rotation)
     SubElement(flange, "origin", xyz=numbers(arm.tip_offset), rpy=numbers(pin.rpy.matrixToRpy(turn)))
     SubElement(flange, "parent", link=parent)

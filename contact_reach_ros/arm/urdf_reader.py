@@ -1,12 +1,13 @@
-"""Arms in files: a URDF with the few choices that it leaves open, or a table.
+"""Arms in files: a URDF, xacro or MJCF file with the few choices that it leaves open, or a table.
 
-Pinocchio reads frames and inertias of a URDF, and lumps what is fixed.
+Pinocchio reads frames and inertias, and lumps what is fixed.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -21,10 +22,22 @@ from contact_reach_ros.arm import assumptions
 from contact_reach_ros.arm.arm import Arm, Inertia, Joint
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsule_fit import Fit, frame_about
-from contact_reach_ros.arm.link_capsules import Part, link_capsules, vector
+from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
+from contact_reach_ros.arm.link_capsules import Part, link_capsules, placement, vector
 from contact_reach_ros.arm.mjcf import numbers
-from contact_reach_ros.arm.table import ArmOptions, arm_of_table, check_lengths, converted
-from contact_reach_ros.arm.urdf_tree import LIMITS, TENSOR, TURNING, UrdfJoint, UrdfTree, read_urdf
+from contact_reach_ros.arm.plausibility import LEAST_EFFORT, Faults, check_inertia, check_weight, doubts
+from contact_reach_ros.arm.robot_file import DESCRIPTIONS, read_robot_file
+from contact_reach_ros.arm.table import ARMATURE, ArmOptions, arm_of_table, check_lengths, converted
+from contact_reach_ros.arm.urdf_tree import (
+    LIMITS,
+    TENSOR,
+    TURNING,
+    UrdfJoint,
+    UrdfTree,
+    check_numbers,
+    numbers_in,
+    tree_of,
+)
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import read_yaml
 
@@ -32,7 +45,11 @@ MAX_JOINTS = 7
 _YAML = (".yaml", ".yml")
 _OF_TABLES = "joints"
 """Key that only a table has."""
-_TURN = round(2.0 * math.pi, 4)
+_TIP = re.compile(r"(^|.*[_/])(tool0|tool_frame|tcp|attachment_site)$", re.IGNORECASE)
+"""Names of frames that are made for tips."""
+_GRIPPER = re.compile(r"jaw|finger|claw|knuckle|thumb", re.IGNORECASE)
+"""In names of joints and of the links that they move, and gripper in those of joints: what grips is no part of the
+arm."""
 _ROUNDING = 1e-10
 _LINK = "link "
 """Prefix of links for Pinocchio, which finds frames by name: neither joints nor its universe have such a name."""
@@ -45,11 +62,13 @@ class Reading(NamedTuple):
     fits: dict[str, Fit]
     """The capsules that were fitted, by link."""
     assumed: list[str]
-    """What neither the URDF nor the options say, in words."""
+    """What neither the file nor the options say, in words."""
+    doubts: list[str]
+    """What is accepted although it is hardly that of a real arm, in words."""
 
 
-def read_arm(file: Path, options: ArmOptions | None = None) -> Reading:
-    """Make an arm of a URDF.
+def read_arm(file: Path, options: ArmOptions | None = None, options_file: Path | None = None) -> Reading:
+    """Make an arm of a URDF, xacro or MJCF file; `options_file` is where errors say that options belong.
 
     Each link's frame is the URDF's, turned so that the joint turns about its z axis; links joined by fixed joints are
     one link.
@@ -57,16 +76,21 @@ def read_arm(file: Path, options: ArmOptions | None = None) -> Reading:
     Raises
     ------
     SettingsError
-        If the URDF is not that of a serial arm with revolute joints, or lacks something; the message names link or
-        joint, what was expected, and the key of `ArmOptions` that mends it.
+        If the file is not that of a serial arm with revolute joints, or lacks something; the message names all links
+        or joints, what was expected, and the key of `ArmOptions` that mends it.
     """
-    return _Reader(read_urdf(file), file, options or ArmOptions()).read()
+    options = options or ArmOptions()
+    found = read_robot_file(file, options)
+    return _Reader(tree_of(found.robot, file), file, options, found.assumed, options_file).read()
 
 
 class _Reader:
-    def __init__(self, tree: UrdfTree, file: Path, options: ArmOptions) -> None:
+    def __init__(
+        self, tree: UrdfTree, file: Path, options: ArmOptions, assumed: Sequence[str], options_file: Path | None
+    ) -> None:
         self.tree, self.file, self.options = tree, file, options
-        self.assumed: list[str] = []
+        self.assumed = list(assumed)
+        self.faults = Faults(file, options_file or file.with_name(f"{_stem(file)}.yaml"))
         for key in ("fixed", "limits"):
             self._check_names(key, getattr(options, key), tree.joints, "joint")
         for key in ("inertias", "capsules"):
@@ -82,7 +106,8 @@ class _Reader:
                     f"{self.file}: {key} = '{link}' is no link; expected one of {', '.join(tree.links)}"
                 )
         moving = self._moving(base, tip)
-        armature = options.armature if isinstance(options.armature, tuple) else (options.armature,) * len(moving)
+        given = options.armature
+        armature = given if isinstance(given, tuple) else tuple(_armature(joint, given) for joint in moving)
         lists: dict[str, Sequence[float]] = {f"thresholds: {key}": list_ for key, list_ in options.thresholds.items()}
         lists |= {"armature": armature} | ({} if options.home is None else {"home": options.home})
         check_lengths(lists, len(moving), str(self.file))
@@ -92,8 +117,12 @@ class _Reader:
         for number, (joint, own_armature) in enumerate(zip(moving, armature, strict=True), 1):
             place = parts[number - 1].turn.actInv(model.jointPlacements[number]) * parts[number].turn
             joints.append(self._joint(joint, place, own_armature))
-            inertias.append(self._inertia(parts[number], model.inertias[number]))
+            inertias.append(_inertia(parts[number], model.inertias[number]))
+            own = {name: each for name in parts[number].places if (each := self._own_inertia(name)) is not None}
+            check_inertia(self.faults, parts[number].link, model.inertias[number], own)
+        self.faults.check()
         tip_place = parts[-1].places[tip]
+        self._show_visuals(parts)
         found = link_capsules(tree.links, self.file, options, parts, joints[0])
         self.assumed += [f"capsules: none on {link}, which has no collision geometry" for link in found.bare]
         arm = Arm(
@@ -112,7 +141,10 @@ class _Reader:
             home=tuple(0.5 * (joint.lower + joint.upper) for joint in joints),
             defaults={},
         )
-        return Reading(self._completed(arm), found.fits, self.assumed)
+        arm = self._completed(arm)
+        check_weight(self.faults, arm)
+        self.faults.check()
+        return Reading(arm, found.fits, self.assumed, doubts(arm))
 
     def _completed(self, arm: Arm) -> Arm:
         """The arm with shoulder, reach, home and thresholds."""
@@ -141,21 +173,39 @@ class _Reader:
                 raise SettingsError(f"{self.file}: {key}: {what} '{name}' does not exist; known: {', '.join(known)}")
 
     def _only_tip(self, base: str) -> str:
-        """The only link that ends a chain of joints, or the only one of them that is a mere frame."""
-        ends = [link for link in self.tree.links if not self.tree.below(link) and self._turns(base, link)]
-        frames = [link for link in ends if self.tree.links[link].find("collision") is None]
-        for found, what in ((ends, "the last link"), (frames, "the only frame at the end of a chain of joints")):
+        """The one link that is made for a tip, or the only one that ends a chain of joints, as a mere frame if any.
+
+        What a gripper moves is no tip.
+        """
+        links = [link for link in self.tree.links if self._is_carried(base, link)]
+        named = [link for link in links if _TIP.match(link)]
+        ends = self._last(links)
+        frames = [link for link in ends if not self.tree.links[link].findall("collision")]
+        bare = [link for link in frames if not self.tree.links[link].findall("visual")]
+        for found, what in (
+            (self._last(named), "made for it"),
+            (ends, "the last link"),
+            (frames, "the only frame at the end of a chain of joints"),
+            (bare, "the only frame at the end of a chain of joints"),
+        ):
             if len(found) == 1:
                 self.assumed.append(f"tip: {found[0]}, {what}")
                 return found[0]
         raise SettingsError(
-            f"{self.file}: {len(ends)} links end a chain of joints: {', '.join(ends)}; expected the one that is to "
-            "reach the goals under tip"
+            f"{self.file}: {len(ends)} links end a chain of joints{':' * bool(ends)} {', '.join(ends)}; expected the "
+            "one that is to reach the goals under tip"
         )
 
-    def _turns(self, base: str, tip: str) -> bool:
-        """Whether any joint turns between two links."""
-        return any(joint.kind in TURNING for joint in self.tree.chain(base, tip) or [])
+    def _is_carried(self, base: str, link: str) -> bool:
+        """Whether a joint of an arm moves a link, and none of another kind after that one."""
+        joints = [each for each in self.tree.chain(base, link) or [] if each.kind != "fixed"]
+        joints = [each for each in joints if each.name not in self.options.fixed]
+        return bool(joints) and joints[-1].kind in TURNING and not joints[-1].mimicked() and not _grips(joints[-1])
+
+    def _last(self, links: Sequence[str]) -> list[str]:
+        """Those links that are above no others of them."""
+        above = {joint.parent for link in links for joint in self.tree.chain(self.tree.root, link) or []}
+        return [link for link in links if link not in above]
 
     def _moving(self, base: str, tip: str) -> list[UrdfJoint]:
         """The joints between base and tip that move."""
@@ -166,15 +216,15 @@ class _Reader:
                 f"{self.file}: tip '{tip}' is not below base '{base}'; expected one of {', '.join(below) or 'none'} "
                 "under tip, or another base"
             )
-        moving = [joint for joint in chain if joint.kind != "fixed" and joint.name not in self.options.fixed]
+        moving = [joint for joint in chain if joint.kind != "fixed" and not self._is_held(joint)]
         for joint in moving:
             hold = f"hold it at a position under fixed ({{{joint.name}: 0.0}}), or choose another base or tip"
             where = f"{self.file}: joint '{joint.name}', between base '{base}' and tip '{tip}',"
             if joint.kind not in TURNING:
                 raise SettingsError(f"{where} is of type {joint.kind}; expected {' or '.join(TURNING)}: {hold}")
-            if (mimic := joint.element.find("mimic")) is not None:
+            if mimicked := joint.mimicked():
                 raise SettingsError(
-                    f"{where} mimics joint '{mimic.get('joint')}'; expected joints that move on their own: {hold}"
+                    f"{where} mimics joint '{mimicked[0]}'; expected joints that move on their own: {hold}"
                 )
         if not 2 <= len(moving) <= MAX_JOINTS:
             names = ", ".join(joint.name for joint in moving) or "none"
@@ -197,7 +247,8 @@ class _Reader:
                 kind = joint.kind if joint.kind in ("fixed", "prismatic") else "revolute"
                 label = f"joint of {joint.child}"
                 copied = SubElement(robot, "joint", name=label, type=kind)
-                copied.extend(each for each in joint.element if each.tag in ("origin", "axis"))
+                copied.extend(joint.element.findall("origin"))
+                copied.extend(joint.element.findall("axis") if kind != "fixed" else ())
                 SubElement(copied, "parent", link=_LINK + name)
                 SubElement(copied, "child", link=_LINK + joint.child)
                 SubElement(copied, "limit", dict.fromkeys(LIMITS, "0"))
@@ -210,73 +261,84 @@ class _Reader:
         return pin.buildReducedModel(model, [model.getJointId(name) for name in held], q)
 
     def _add_link(self, robot: Element, name: str) -> None:
-        """Add a link with its inertia: the given one, or the URDF's."""
-        link = SubElement(robot, "link", name=_LINK + name)
-        given, own = self.options.inertias.get(name), self.tree.links[name].find("inertial")
-        if given is not None:
+        """Add a link with its inertia."""
+        link, inertia = SubElement(robot, "link", name=_LINK + name), self._own_inertia(name)
+        if inertia is not None:
             inertial = SubElement(link, "inertial")
-            SubElement(inertial, "origin", xyz=numbers(given.center))
-            SubElement(inertial, "mass", value=repr(given.mass))
-            SubElement(inertial, "inertia", dict(zip(TENSOR, map(repr, given.tensor), strict=True)))
-        elif own is not None and (mass := own.find("mass")) is not None and float(mass.get("value", "0")) > 0.0:
-            inertia = own.find("inertia")
-            inertia = SubElement(own, "inertia") if inertia is None else inertia
-            inertia.attrib.update({key: inertia.get(key, "0") for key in TENSOR})
-            link.append(own)
+            SubElement(inertial, "origin", xyz=numbers(inertia.lever))
+            SubElement(inertial, "mass", value=repr(inertia.mass))
+            SubElement(inertial, "inertia", dict(zip(TENSOR, map(repr, tensor_values(inertia.inertia)), strict=True)))
+
+    def _own_inertia(self, name: str) -> pin.Inertia | None:
+        """The inertia of a link in its frame in the file: the given one, or the file's; None without a mass."""
+        given, found = self.options.inertias.get(name), self.tree.links[name].find("inertial")
+        if given is not None:
+            return pin.Inertia(given.mass, np.array(given.center), tensor_matrix(given.tensor))
+        mass = 0.0 if found is None else numbers_in(found, "mass", ("value",)).get("value", 0.0)
+        if found is None or not mass > 0.0:
+            return None
+        tensor = dict.fromkeys(TENSOR, 0.0) | numbers_in(found, "inertia", TENSOR)
+        about_center = pin.Inertia(mass, np.zeros(3), tensor_matrix(tuple(tensor[key] for key in TENSOR)))
+        return placement(found.find("origin")).act(about_center)
+
+    def _is_held(self, joint: UrdfJoint) -> bool:
+        """Whether the options hold a joint, or the one that it mimics."""
+        mimicked = joint.mimicked()
+        held = joint.name in self.options.fixed
+        return held or (mimicked is not None and self._is_held(self.tree.joints[mimicked[0]]))
 
     def _held_position(self, joint: UrdfJoint) -> float:
-        """Position at which a joint is held, rad or m: as the options have it, or the nearest to 0."""
+        """Position at which a joint is held, rad or m: as the options have it, as its leader's, or the nearest to 0."""
         position = self.options.fixed.get(joint.name)
-        if position is None:
-            limits = {**joint.limits(), **self.options.limits.get(joint.name, {})}
-            position = min(max(0.0, limits.get("lower", -math.inf)), limits.get("upper", math.inf))
-            self.assumed.append(f"fixed: {joint.name} at {position:g}, since it is not between base and tip")
+        if position is not None:
+            return position
+        if mimicked := joint.mimicked():
+            leader, multiplier, offset = mimicked
+            return multiplier * self._held_position(self.tree.joints[leader]) + offset
+        limits = {**joint.limits(), **self.options.limits.get(joint.name, {})}
+        position = min(max(0.0, limits.get("lower", -math.inf)), limits.get("upper", math.inf))
+        assumption = f"fixed: {joint.name} at {position:g}, since it is not between base and tip"
+        self.assumed += [assumption] * (assumption not in self.assumed)
         return position
 
     def _joint(self, joint: UrdfJoint, place: pin.SE3, armature: float) -> Joint:
-        limits = {**joint.limits(), **self.options.limits.get(joint.name, {})}
-        if joint.kind == "continuous" and not {"lower", "upper"} & set(limits):
+        given = self.options.limits.get(joint.name, {})
+        limits = {**joint.limits(), **given}
+        if joint.is_endless and not {"lower", "upper"} & set(given):
             self.assumed.append(f"limits: {joint.name}, which is continuous, turns once to either side")
-            limits |= {"lower": -_TURN, "upper": _TURN}
-        for key in LIMITS:
-            if key not in limits:
-                raise SettingsError(
-                    f"{self.file}: joint '{joint.name}' has no {key} limit; expected one in the URDF, or under "
-                    f"limits ({{{joint.name}: {{{key}: ...}}}})"
-                )
-        if not limits["lower"] < limits["upper"]:
-            raise SettingsError(
-                f"{self.file}: joint '{joint.name}' has limits from {limits['lower']:g} to {limits['upper']:g} rad; "
-                f"expected lower < upper, in the URDF or under limits ({{{joint.name}: ...}})"
+        elif joint.soft_limits and not joint.soft_limits.keys() <= set(given):
+            self.assumed.append(
+                f"limits: {joint.name} from {limits['lower']:g} to {limits['upper']:g} rad, its soft ones"
             )
-        return Joint(
-            joint.name,
-            vector(place.translation),
-            _quaternion(place.rotation),
-            limits["lower"],
-            limits["upper"],
-            limits["velocity"],
-            limits["effort"],
-            armature,
-        )
+        lower, upper, velocity, effort = (limits.get(key, math.nan) for key in LIMITS)
+        accepted = {"lower": lower < upper, "upper": lower < upper, "velocity": velocity > 0.0}
+        accepted["effort"] = effort >= LEAST_EFFORT
+        wrong = {key: limits.get(key) for key in LIMITS if not accepted[key]}
+        if wrong:
+            self.faults.limits(joint.name, wrong)
+        turn = _quaternion(place.rotation)
+        return Joint(joint.name, vector(place.translation), turn, lower, upper, velocity, effort, armature)
 
-    def _inertia(self, part: Part, lumped: pin.Inertia) -> Inertia:
-        """Of a link with all that is fixed to it, in its turned frame; `lumped`: in its own."""
-        where = f"{self.file}: link '{part.link}'"
-        mend = f"in the URDF, or under inertias ({{{part.link}: {{mass: ..., center: ..., tensor: ...}}}})"
-        if not lumped.mass > 0.0:
-            raise SettingsError(f"{where} has no mass; expected an inertia with a mass above 0 kg {mend}")
-        moments = np.linalg.eigvalsh(lumped.inertia)
-        if not (moments[0] > 0.0 and moments[0] + moments[1] >= moments[2] * (1.0 - 1e-6)):
-            raise SettingsError(
-                f"{where} has principal moments of inertia {np.array2string(moments, precision=3)} kg m², as no "
-                f"body has; expected them above 0, none above the sum of the others, {mend}"
+    def _show_visuals(self, parts: Sequence[Part]) -> None:
+        """Let visual geometry stand for that of moving parts, and of fixed bodies, which have no other.
+
+        Fixed links without a mass are taken for marks, unless no fixed link has any geometry that counts.
+        """
+        shown = []
+        bodies = [(name,) for name in parts[0].places if self._own_inertia(name) is not None]
+        for names in (*bodies, *(tuple(part.places) for part in parts)):
+            links = [self.tree.links[name] for name in names]
+            if any(link.find("collision") is not None for link in links) or set(names) & set(self.options.capsules):
+                continue
+            visuals = [(link, visual) for link in links for visual in link.findall("visual")]
+            for link, visual in visuals:
+                visual.tag = "collision"
+                check_numbers(link, f"{self.file}: link '{link.get('name')}'")
+            shown += [link.get("name", "") for link, _ in visuals]
+        if shown:
+            self.assumed.append(
+                f"capsules: by visual geometry, since there is no other: {', '.join(dict.fromkeys(shown))}"
             )
-        turned = part.turn.actInv(lumped)
-        xx, yy, zz, xy, xz, yz = (
-            float(turned.inertia[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-        )
-        return Inertia(float(turned.mass), vector(turned.lever), (xx, yy, zz, xy, xz, yz))
 
 
 def _parts(model: pin.Model, base: str, moving: Sequence[UrdfJoint]) -> list[Part]:
@@ -292,6 +354,22 @@ def _parts(model: pin.Model, base: str, moving: Sequence[UrdfJoint]) -> list[Par
     return parts
 
 
+def _inertia(part: Part, lumped: pin.Inertia) -> Inertia:
+    """Of a link with all that is fixed to it, in its turned frame; `lumped`: in its own."""
+    turned = part.turn.actInv(lumped)
+    return Inertia(float(turned.mass), vector(turned.lever), tensor_values(turned.inertia))
+
+
+def _armature(joint: UrdfJoint, given: float | None) -> float:
+    """Of a joint, kg m²: the given one, or what its description says."""
+    own = numbers_in(joint.element, "dynamics", ("armature",)).get("armature", ARMATURE)
+    return own if given is None else given
+
+
+def _grips(joint: UrdfJoint) -> bool:
+    return bool(_GRIPPER.search(f"{joint.name} {joint.child}")) or "gripper" in joint.name.lower()
+
+
 def _quaternion(rotation: Array) -> tuple[float, float, float, float]:
     """As (w, x, y, z), without the rounding errors of angles that URDFs write with ten digits."""
     found = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
@@ -300,9 +378,9 @@ def _quaternion(rotation: Array) -> tuple[float, float, float, float]:
 
 
 def read_arm_file(file: Path) -> Reading:
-    """Read an arm from a table, a URDF, or the options of a URDF.
+    """Read an arm from a table, a URDF, xacro or MJCF file, or the options of one.
 
-    Options are in a YAML file beside the URDF, by default of the same name.
+    Options are in a YAML file beside the robot's file, by default of the same name.
 
     Raises
     ------
@@ -310,12 +388,25 @@ def read_arm_file(file: Path) -> Reading:
         If the file cannot be read, has an unknown key, or is not the description of a serial arm; the message names
         file and key.
     """
-    if file.suffix == ".urdf":
-        beside = next((file.with_suffix(ending) for ending in _YAML if file.with_suffix(ending).is_file()), None)
+    if file.suffix.lower() in DESCRIPTIONS:
+        beside = _beside(file, _YAML)
         options = ArmOptions() if beside is None else converted(read_yaml(beside), ArmOptions, str(beside))
-        return read_arm(file, options)
+        return read_arm(file, options, beside)
     content = read_yaml(file)
     if _OF_TABLES in content:
-        return Reading(arm_of_table(content, str(file)), {}, [])
+        return Reading(arm_of_table(content, str(file)), {}, [], [])
     options = converted(content, ArmOptions, str(file))
-    return read_arm(file.parent / options.urdf if options.urdf else file.with_suffix(".urdf"), options)
+    robot = file.parent / options.urdf if options.urdf else _beside(file, DESCRIPTIONS) or file.with_suffix(".urdf")
+    return read_arm(robot, options, file)
+
+
+def _beside(file: Path, endings: Sequence[str]) -> Path | None:
+    """The file of the same name with another ending, in any case: the first of these; `.urdf.xacro` is an ending."""
+    found = [path for path in sorted(file.parent.glob("*")) if _stem(path) == _stem(file)]
+    return next((path for ending in endings for path in found if path.suffix.lower() == ending), None)
+
+
+def _stem(file: Path) -> str:
+    while file.suffix.lower() in (*DESCRIPTIONS, *_YAML):
+        file = file.with_suffix("")
+    return file.name

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,14 @@ from contact_reach_ros.settings import (
 )
 from contact_reach_ros.settings import ROBOT as ROBOT_PARAMETER
 
+_log = logging.getLogger(__name__)
+
 DEFAULT_ARM = str(ROBOT_PARAMETER.default)
 ROBOT, ROBOT_DIGEST, ROBOT_TABLE = "robot", "robot digest", "robot table"
 """Names under which nodes report their arm."""
 EARLIER_DIGESTS = {"b9910d2d7c624b0e": ("fb09104480dee5b5", "a1afed95948d1e7c", "f4d510c0cfa2a199")}
 """Digests that arms had in bags of earlier versions, which told 0 from 0.0, by the present ones."""
-ENDINGS = (".urdf", ".yaml", ".yml")
+ENDINGS = (".urdf", ".xacro", ".xml", ".yaml", ".yml")
 """Of files that hold arms."""
 _FOLDER = Path(__file__).parent
 ARMS = tuple(sorted(file.stem for file in _FOLDER.glob("*.yaml")))
@@ -44,7 +47,8 @@ def load_arm(name: str = DEFAULT_ARM) -> Arm:
     Parameters
     ----------
     name
-        One of `ARMS`, or the path of a URDF, of the YAML file beside it, or of a table, see docs/arms.md.
+        One of `ARMS`, or the path of a URDF, xacro or MJCF file, of the YAML file beside it, or of a table, see
+        docs/arms.md.
 
     Raises
     ------
@@ -57,14 +61,19 @@ def load_arm(name: str = DEFAULT_ARM) -> Arm:
 
 @functools.cache
 def _load(name: str) -> Arm:
-    if name.endswith(ENDINGS):
+    if name.lower().endswith(ENDINGS):
         # It loads what reads meshes, which the arms of the package do without.
         from contact_reach_ros.arm.urdf_reader import read_arm_file
 
-        return read_arm_file(Path(name)).arm
+        reading = read_arm_file(Path(name))
+        for line in reading.doubts:
+            _log.warning("%s: %s", name, line)
+        return reading.arm
     if name not in ARMS:
         names = ", ".join(ARMS)
-        raise SettingsError(f"arm '{name}' is unknown; expected one of {names}, or the path of a URDF or YAML file")
+        raise SettingsError(
+            f"arm '{name}' is unknown; expected one of {names}, or the path of a URDF, xacro, MJCF or YAML file"
+        )
     table = _FOLDER / f"{name}.yaml"
     return arm_of_table(read_yaml(table), str(table))
 

@@ -11,13 +11,13 @@ from rich.table import Table
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.capsules import shape_name, shapes
 from contact_reach_ros.arm.table import table_text
-from contact_reach_ros.arm.urdf_reader import read_arm_file
+from contact_reach_ros.arm.urdf_reader import Reading, read_arm_file
 from contact_reach_ros.arms import ENDINGS, load_arm
 from contact_reach_ros.resources import write_text
 
 
 def check_arm(name: str, table: Path | None = None) -> None:
-    """Print what there is and what was assumed.
+    """Print what there is, what was assumed, and what is hardly that of a real arm.
 
     Raises `SettingsError` if the description is refused, naming link or joint and the key that mends it, and
     `InputError` if the table cannot be written.
@@ -30,10 +30,8 @@ def check_arm(name: str, table: Path | None = None) -> None:
         File to write the arm's table to; none is written by default.
     """
     console = Console()
-    if name.endswith(ENDINGS):
-        arm, fits, assumed = read_arm_file(Path(name))
-    else:
-        arm, fits, assumed = load_arm(name), {}, []
+    is_file = name.lower().endswith(ENDINGS)
+    arm, fits, assumed, doubts = read_arm_file(Path(name)) if is_file else Reading(load_arm(name), {}, [], [])
     console.print(
         f"arm '{arm.name}': {arm.n} joints from {arm.base_frame} to {arm.tip_frame}, reach {arm.reach:g} m around "
         f"{list(arm.shoulder)} m"
@@ -48,6 +46,8 @@ def check_arm(name: str, table: Path | None = None) -> None:
     console.print(capsules)
     for line in assumed:
         console.print(f"assumed: {line}", markup=False)
+    for line in doubts:
+        console.print(f"doubtful: {line}", markup=False, style="yellow")
     if table is not None:
         write_text(table, table_text(arm))
         console.print(f"table: {table}", markup=False)

@@ -19,13 +19,14 @@ from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.safety import HANDOVER_TIME
 from contact_reach_ros.observer.settings import MomentumSettings, ObserverSettings
-from contact_reach_ros.settings import Setting
 from contact_reach_ros.timing import states_in
 
 _DIGITS = 5
 """Decimals of what is written."""
 
 
+_LEAST, _LEAST_CONTACT = 0.5, 0.05
+"""Least thresholds that are proposed, N m: those that stop the arm or are for hand-over, and those of contacts."""
 MARGIN = 1.5
 """Of thresholds over the largest torques of free motion: a longer motion has larger ones."""
 
@@ -212,22 +213,20 @@ def propose(arm: Arm, budget: ContactBudget, seen: Watched, dry_friction: Sequen
     """
     budget = budget.resolve(arm)
     share = np.minimum(MARGIN * seen.used, 1.0)
-    contact = _within("contact_thresholds", share * budget.contact_thresholds)
-    handed_over = _within("handover_thresholds", np.maximum(MARGIN * seen.mean, dry_friction) + contact)
-    handed_over = np.minimum(handed_over, budget.handover_thresholds)
+    contact = _lowered(budget.contact_thresholds, share * budget.contact_thresholds, _LEAST_CONTACT)
+    handed_over = _lowered(budget.handover_thresholds, np.maximum(MARGIN * seen.mean, dry_friction) + contact)
     less, less_error = np.array(budget.contact_thresholds) - contact, budget.handover_thresholds - handed_over
     values = {
         "contact_thresholds": contact,
         "contact_per_speed": share * budget.contact_per_speed,
-        "sudden_thresholds": _within("sudden_thresholds", budget.sudden_thresholds - less),
-        "torque_thresholds": _within("torque_thresholds", budget.torque_thresholds - less_error),
+        "sudden_thresholds": _lowered(budget.sudden_thresholds, budget.sudden_thresholds - less),
+        "torque_thresholds": _lowered(budget.torque_thresholds, budget.torque_thresholds - less_error),
         "handover_thresholds": handed_over,
     }
     rounded: dict[str, Any] = {name: tuple(np.round(value, 2).tolist()) for name, value in values.items()}
     return dataclasses.replace(budget, **rounded)
 
 
-def _within(name: str, values: Array) -> Array:
-    """Values of a threshold, no smaller than the budget accepts."""
-    entry: Setting = next(entry for entry in ContactBudget.declared() if entry.name == name)
-    return np.maximum(values, entry.minimum or 0.0)
+def _lowered(present: Sequence[float], values: Array, least: float = _LEAST) -> Array:
+    """`values` (n,) of a threshold, N m: at most its `present` ones, and at least `least` where those are not less."""
+    return np.clip(values, np.minimum(least, present), present)

@@ -149,6 +149,9 @@ class PlannerNode(ManagedNode):
                 self._make_plan(request)
             except ContactReachError as error:
                 self.refuse("plans", error)
+                if not self._planner.has_goal:
+                    self.get_logger().warning(f"goal refused: {error}")
+                    self._output.withdraw()
         self._output.follow_goal(self._planner, self._goal_ns)
 
     def _make_plan(self, request: Request) -> None:

@@ -32,19 +32,21 @@ class ContactBudget(Settings):
     permitted_force: float = setting(
         10.0, "ε: largest contact force on one robot body that a plan may have", unit="N", minimum=0.0, maximum=140.0
     )
-    torque_thresholds: tuple[float, ...] = _per_joint("external torque on a joint that stops the arm", "Nm", 0.5)
+    torque_thresholds: tuple[float, ...] = _per_joint("external torque on a joint that stops the arm", "Nm", 0.01)
     torque_per_speed: tuple[float, ...] = _per_joint(
         "increase of the thresholds that stop the arm with joint speed", "Nm s/rad", 0.0
     )
-    sudden_thresholds: tuple[float, ...] = _per_joint("sudden external torque on a joint that stops the arm", "Nm", 0.5)
+    sudden_thresholds: tuple[float, ...] = _per_joint(
+        "sudden external torque on a joint that stops the arm", "Nm", 0.01
+    )
     contact_thresholds: tuple[float, ...] = _per_joint(
-        "sudden external torque on a joint that counts as contact", "Nm", 0.05
+        "sudden external torque on a joint that counts as contact", "Nm", 0.001
     )
     contact_per_speed: tuple[float, ...] = _per_joint("increase of the contact thresholds with speed", "Nm s/rad", 0.0)
     handover_thresholds: tuple[float, ...] = _per_joint(
         "external torque on a joint at hand-over that stops the arm: the model of its weight is wrong",
         "Nm",
-        0.5,
+        0.01,
     )
 
 

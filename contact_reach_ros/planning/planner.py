@@ -89,6 +89,8 @@ PATIENCE_NS = NANOSECONDS // 100
 _RECENT = 8
 """Plans whose times the latency of the next one is estimated from: on a busy machine they vary."""
 _MAX_LATENCY_NS = NANOSECONDS // 4
+_ATTEMPTS = 5
+"""Plans for a new goal that are tried: each search starts with other candidates."""
 
 
 class Planner:
@@ -162,6 +164,8 @@ class Planner:
         self._refuse = refuse
         self._pending: Task | None = None
         self._progress: GoalProgress | None = None
+        self._failures = 0
+        """Number of plans for the goal that were not found."""
         self.obstacles = KnownObstacles(settings.max_obstacle_age, settings.require_obstacles)
 
     def command(self, goal: Task) -> None:
@@ -264,7 +268,7 @@ class Planner:
         return Request(q, v, stamp_ns, effect_ns, self.goal, self.obstacles.spheres, self.speed_scale)
 
     def solve(self, request: Request) -> Plan:
-        """Make the plan that was requested.
+        """Make the plan that was requested; a goal for which there is none at the first `_ATTEMPTS` is refused.
 
         Raises
         ------
@@ -275,7 +279,14 @@ class Planner:
         """
         if self.core is None:
             raise PlanningError("the planner has no core to make plans with: pass one to it")
-        plan = self.core.plan(request)
+        try:
+            plan = self.core.plan(request)
+        except (InputError, PlanningError) as error:
+            self._failures += 1
+            state = self.goal_state
+            if state is not None and state.phase is GoalPhase.ACCEPTED and self._failures >= _ATTEMPTS:
+                self.withdraw(f"there is no plan for it: {error}", GoalPhase.REFUSED)
+            raise
         if plan.speed_scale != request.speed_scale:
             raise PlanningError(
                 f"the plan has speed_scale = {plan.speed_scale:g}: expected {request.speed_scale:g}, as requested; set "
@@ -326,4 +337,5 @@ class Planner:
 
     def _pursue(self, goal: Target) -> None:
         self.goal = goal
+        self._failures = 0
         self._unexpected_ns = None

@@ -1,5 +1,7 @@
 """`contact-reach arm check`: what there is, what was assumed, and a table."""
 
+import re
+
 from arm_simulation import ARM
 from contact_reach_command import contact_reach
 
@@ -21,3 +23,12 @@ def test_what_is_refused_ends_with_the_message(tmp_path, capsys):
     (tmp_path / "arm.urdf").write_text(build_urdf(ARM).replace("revolute", "prismatic", 1))
     assert contact_reach("arm", "check", tmp_path / "arm.urdf") == 2
     assert "is of type prismatic" in capsys.readouterr().err
+
+
+def test_what_is_doubtful_is_printed_and_logged(tmp_path, capsys, caplog):
+    file = tmp_path / "arm.urdf"
+    file.write_text(re.sub(r'mass value="[^"]*"', 'mass value="0.05"', build_urdf(ARM)))
+    assert contact_reach("arm", "check", file) == 0
+    assert "doubtful: inertias: the moving links weigh 0.35 kg" in capsys.readouterr().out
+    load_arm(str(file))
+    assert "the moving links weigh 0.35 kg" in caplog.text

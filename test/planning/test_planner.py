@@ -221,6 +221,33 @@ def test_the_core_is_asked_for_what_was_requested_and_without_one_no_plan_is_mad
         make(None).solve(request)
 
 
+def fail(planner, first: int, attempts: int) -> list[GoalPhase]:
+    """Phases of the goal after each of so many plans that are not found."""
+    phases = []
+    for attempt in range(attempts):
+        request = planner.request(state(first + 30 * attempt))
+        if request is not None:
+            with pytest.raises(PlanningError, match="no way"):
+                planner.solve(request)
+        phases.append(planner.goal_state.phase)
+    return phases
+
+
+def test_a_goal_without_a_plan_at_the_first_attempts_is_refused_with_the_reason():
+    planner = make(StayingCore(failing_after=0))
+    planner.command(GOAL)
+    phases = fail(planner, 0, 6)
+    assert phases[:4] == 4 * [GoalPhase.ACCEPTED] and phases[-1] is GoalPhase.REFUSED
+    assert not planner.has_goal and planner.goal_state.reason == "there is no plan for it: there is no way to the goal"
+
+
+def test_a_goal_with_a_plan_stays_though_later_ones_are_not_found():
+    planner = make(StayingCore(failing_after=1))
+    planner.command(GOAL)
+    planner.solve(planner.request(state(0)))
+    assert fail(planner, 30, 12) == 12 * [GoalPhase.RUNNING]
+
+
 def test_the_latency_is_that_of_the_slowest_of_the_last_plans_but_never_less_than_wanted(planner):
     for number, (took, expected) in enumerate([(30, 40), (90, 90), *7 * [(50, 90)], (50, 50)], 1):
         planner.took(took * TICK_NS)

@@ -1,0 +1,174 @@
+"""Whether a description can be that of a real arm: what is refused, all at once, and what is doubtful."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from contact_reach_ros.arm.arm import Arm
+from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import SettingsError
+
+LEAST_EFFORT = 0.1
+"""N m: for less there are no thresholds."""
+_ROUNDING = 1e-6
+"""Share of the greatest moment of inertia by which the others may fall short of it together."""
+_LEAST_SHARE = 1e-3
+"""Of the greatest second moment of mass, which the others have at least in a balanced tensor."""
+_POSTURES = 500
+_LIGHT = 50.0
+"""Mass by volume of the capsules, kg/m³, below which the masses are hardly real; robots have 300 to 2000."""
+_WIDE = 0.25
+"""Radius of gyration by the arm's reach above which an inertia is hardly real; rods of half the reach have 0.15."""
+_ALIKE = 3
+"""So many links, if they are most of all, are hardly alike."""
+
+
+@dataclass
+class Faults:
+    """What is wrong with the limits and inertias of an arm, and the YAML block that mends it."""
+
+    file: Path
+    """The robot's."""
+    options: Path
+    """The YAML file that the block belongs into."""
+    _texts: list[str] = field(default_factory=list)
+    _limits: dict[str, str] = field(default_factory=dict)
+    _inertias: dict[str, str] = field(default_factory=dict)
+
+    def limits(self, joint: str, wrong: Mapping[str, float | None], why: str = "") -> None:
+        """Note limits of a joint that are wrong, rad, rad/s, N m, or missing, by their keys."""
+        found = ", ".join(f"no {key}" if value is None else f"{key} {value:g}" for key, value in wrong.items())
+        self._texts.append(f"joint '{joint}' has {found}{why}")
+        self._limits[joint] = ", ".join(f"{key}: ..." for key in wrong)
+
+    def inertia(self, link: str, text: str, values: str) -> None:
+        """Note what is wrong with the inertia of a link, and what to put in its place."""
+        self._texts.append(f"link '{link}' has {text}")
+        self._inertias[link] = values
+
+    def check(self) -> None:
+        """Raise `SettingsError` with all that was noted, if anything was; the message begins with the robot's file."""
+        if not self._texts:
+            return
+        expected = []
+        if self._limits:
+            expected.append(f"lower < upper, a velocity above 0 and an effort of at least {LEAST_EFFORT:g} Nm")
+        if self._inertias:
+            expected.append("masses above 0 and moments of inertia of which none exceeds the sum of the others")
+        lines = [
+            f"{self.file}: {'; '.join(self._texts)}. Expected {', '.join(expected)}: mend the file, or put this, with "
+        ]
+        lines[0] += f"numbers in place of dots, into {self.options}:"
+        for key, entries, units in (
+            ("limits", self._limits, "rad, rad/s, Nm"),
+            ("inertias", self._inertias, "kg, m, kg m²"),
+        ):
+            if entries:
+                lines += [f"{key}: # {units}", *(f"  {_quoted(name)}: {{{each}}}" for name, each in entries.items())]
+        raise SettingsError("\n".join(lines))
+
+
+def _quoted(name: str) -> str:
+    return name if name.replace("_", "a").isalnum() and not name.isdigit() else f"'{name}'"
+
+
+def check_inertia(faults: Faults, link: str, lumped: pin.Inertia, own: Mapping[str, pin.Inertia]) -> None:
+    """Note that a moving link has no mass, or moments of inertia that no body has.
+
+    Parameters
+    ----------
+    faults
+        Gets what is wrong.
+    link, lumped
+        Name of the link that a joint moves, and its inertia with all that is fixed to it.
+    own
+        Inertias of the link and of those that are fixed to it, by name, each in its frame in the file.
+    """
+    if not lumped.mass > 0.0:
+        faults.inertia(link, "no mass", "mass: ..., center: [x, y, z], tensor: [xx, yy, zz, xy, xz, yz]")
+    elif _excess(lumped):
+        # A sum of inertias that bodies have is one that a body has.
+        for name, inertia in own.items():
+            if excess := _excess(inertia):
+                mend = f"mass: {inertia.mass:g}, center: {_listed(inertia.lever)}, tensor: {_balanced(inertia)}"
+                faults.inertia(name, excess, mend)
+
+
+def _excess(inertia: pin.Inertia) -> str:
+    """How principal moments of inertia miss what every body has; empty if they do not."""
+    moments = np.linalg.eigvalsh(inertia.inertia)
+    values = ", ".join(f"{moment:.6g}" for moment in moments)
+    if moments[0] <= 0.0:
+        return f"principal moments of inertia {values} kg m², not all above 0"
+    share = moments[2] / (moments[0] + moments[1]) - 1.0
+    if share <= _ROUNDING:
+        return ""
+    return f"principal moments of inertia {values} kg m², the last {100.0 * share:.4g} % above the sum of the others"
+
+
+def _balanced(inertia: pin.Inertia) -> str:
+    """The nearest tensor (6,) that a body has, kg m²: no second moment of its mass is negative."""
+    matrix = np.array(inertia.inertia)
+    seconds, axes = np.linalg.eigh(0.5 * np.trace(matrix) * np.eye(3) - matrix)
+    least = _LEAST_SHARE * seconds.max() if seconds.max() > 0.0 else 1e-3 * inertia.mass
+    seconds = np.maximum(seconds, least)
+    balanced = axes @ np.diag(seconds.sum() - seconds) @ axes.T
+    return _listed(np.array(tensor_values(balanced)))
+
+
+def _listed(values: Array) -> str:
+    return f"[{', '.join(f'{value:.6g}' for value in np.where(np.abs(values) < 1e-12, 0.0, values))}]"
+
+
+def check_weight(faults: Faults, arm: Arm) -> None:
+    """Note the joints that cannot hold the arm's weight in its home posture."""
+    model = RobotModel(arm)
+    for joint, torque in zip(arm.joints, np.abs(model.gravity_at(np.array(arm.home))), strict=True):
+        if torque > joint.torque_limit:
+            why = f" Nm, less than the {torque:.3g} Nm that gravity needs at home"
+            faults.limits(joint.name, {"effort": joint.torque_limit}, why)
+
+
+def doubts(arm: Arm) -> list[str]:
+    """What is hardly that of a real arm, in words: efforts, masses and inertias."""
+    model, inertias = RobotModel(arm), arm.inertias()
+    postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSTURES, arm.n))
+    most = np.max([np.abs(model.gravity_at(q)) for q in postures], axis=0)
+    found = [
+        f"limits: {joint.name} needs up to {torque:.3g} Nm against gravity, more than its effort limit of "
+        f"{joint.torque_limit:g} Nm"
+        for joint, torque in zip(arm.joints, most, strict=True)
+        if torque > joint.torque_limit
+    ]
+    mass = sum(inertia.mass for inertia in inertias)
+    volume = sum(_volume(shape.start, shape.end, shape.radius) for shape in arm.capsules)
+    if mass < _LIGHT * volume:
+        found.append(
+            f"inertias: the moving links weigh {mass:.3g} kg in {1e3 * volume:.3g} litres; these are placeholders"
+        )
+    for what, values in (("masses", [each.mass for each in inertias]), ("tensors", [each.tensor for each in inertias])):
+        count = Counter(values).most_common(1)[0][1]
+        if count >= _ALIKE and count > 0.5 * arm.n:
+            found.append(f"inertias: {count} of {arm.n} links have equal {what}; these are placeholders")
+    moments = [np.linalg.eigvalsh(tensor_matrix(each.tensor))[-1] / each.mass for each in inertias]
+    wide = [
+        f"{link} ({np.sqrt(moment):.2g} m)"
+        for link, moment in zip(arm.link_names, moments, strict=True)
+        if moment > (_WIDE * arm.reach) ** 2
+    ]
+    if wide:
+        found.append(f"inertias: radii of gyration are too large for a reach of {arm.reach:g} m: {', '.join(wide)}")
+    return found
+
+
+def _volume(start: Sequence[float], end: Sequence[float], radius: float) -> float:
+    """Of a capsule, m³."""
+    return float(np.pi * radius**2 * (np.linalg.norm(np.subtract(end, start)) + 4.0 / 3.0 * radius))

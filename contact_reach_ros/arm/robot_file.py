@@ -1,0 +1,129 @@
+"""Files that describe robots, all read as the <robot> element of a URDF: URDF, xacro and MJCF."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+
+from contact_reach_ros.arm.table import ArmOptions
+from contact_reach_ros.errors import SettingsError
+
+DESCRIPTIONS = (".urdf", ".xacro", ".xml")
+"""Endings of files that describe robots, in any case."""
+POINTS = "points"
+"""Geometry beside that of URDFs: the convex hull of the points in its attribute `at`, m."""
+_SCHEME = "package://"
+_PREFIX_PATHS = ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
+
+
+class RobotFile(NamedTuple):
+    """What a file says of a robot."""
+
+    robot: Element
+    """The <robot> of a URDF."""
+    assumed: list[str]
+    """What the file cannot say, in words."""
+
+
+def read_robot_file(file: Path, options: ArmOptions) -> RobotFile:
+    """Read a URDF, expand a xacro file or convert an MJCF; the content decides, whatever the file's ending.
+
+    Raises
+    ------
+    SettingsError
+        If the file cannot be read, is none of these, or `xacro` is not installed; the message names the file.
+    """
+    content = _content(file)
+    root = _parsed(content, file)
+    if root.tag == "mujoco":
+        # MuJoCo is loaded for its own files only.
+        from contact_reach_ros.arm.mjcf_reader import robot_of_mjcf
+
+        return RobotFile(*robot_of_mjcf(file))
+    if b"${" in content or b"$(" in content or any(element.tag.startswith("xacro:") for element in root.iter()):
+        root = _parsed(_expanded(file, options), file)
+    if root.tag != "robot":
+        raise SettingsError(f"{file}: its root is <{root.tag}>; expected <robot> (URDF, xacro) or <mujoco> (MJCF)")
+    return RobotFile(root, [])
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        expected = "give the path of a URDF, xacro or MJCF file"
+        raise SettingsError(f"{file}: cannot be read ({error.strerror}); {expected}") from error
+
+
+def _parsed(content: bytes, file: Path) -> Element:
+    """The root element; prefixes stay parts of names, so that undeclared ones do no harm."""
+    builder, parser = TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler = builder.data
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        raise SettingsError(f"{file}: not valid XML: {error}; expected a URDF, xacro or MJCF file") from error
+    return builder.close()
+
+
+def _expanded(file: Path, options: ArmOptions) -> bytes:
+    try:
+        import xacro
+        from xacro import substitution_args
+    except ImportError as error:
+        raise SettingsError(
+            f"{file}: is a xacro file, which the package 'xacro' expands; install it: pip install xacro"
+        ) from error
+
+    def find(package: str) -> str:
+        for folder in package_folders(package, file, options.packages):
+            return str(folder)
+        raise LookupError(f"package '{package}' is not found; give its folder under packages")
+
+    # By itself xacro finds packages that are installed with ROS, and no others.
+    substitution_args._eval_find = substitution_args._eval_dict["find"] = find
+    given = {key: f"{value}".lower() if isinstance(value, bool) else f"{value}" for key, value in options.xacro.items()}
+    try:
+        text: str = xacro.process_file(str(file), mappings=given).toxml()
+    # Macros are expressions in Python and may raise whatever these do.
+    except Exception as error:
+        mend = "give its arguments under xacro ({name: value}), folders of its packages under packages"
+        raise SettingsError(f"{file}: xacro does not expand it: {str(error) or repr(error)}; {mend}") from error
+    return text.encode()
+
+
+def package_folders(package: str, file: Path, packages: Mapping[str, str]) -> Iterator[Path]:
+    """Folders that a ROS package may be in for a robot's file: given, around the file, and where ROS looks.
+
+    A package has the name that its package.xml says, or that of its folder.
+    """
+    if package in packages:
+        yield file.parent / packages[package]
+    installed = [Path(prefix) for key in _PREFIX_PATHS for prefix in os.environ.get(key, "").split(":") if prefix]
+    around = [*file.resolve().parents, *(prefix / "share" for prefix in installed), *installed]
+    yield from (folder for folder in around if _is_package(folder / "package.xml", package))
+    yield from (folder / package for folder in around if (folder / package).is_dir())
+    for folder in around:
+        yield from (path.parent for path in folder.glob("*/package.xml") if _is_package(path, package))
+
+
+def _is_package(file: Path, package: str) -> bool:
+    try:
+        return (_parsed(_content(file), file).findtext("name") or "").strip() == package
+    except SettingsError:
+        return False
+
+
+def find_mesh(name: str, file: Path, packages: Mapping[str, str]) -> Path | None:
+    """The mesh that a robot's file names, beside it or in a package; None if there is no such file."""
+    if name.startswith(_SCHEME):
+        package, _, rest = name.removeprefix(_SCHEME).partition("/")
+        paths: Iterable[Path] = (folder / rest for folder in package_folders(package, file, packages))
+    else:
+        paths = [file.parent / name.removeprefix("file://")]
+    return next((path for path in paths if path.is_file()), None)
