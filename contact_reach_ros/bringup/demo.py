@@ -15,7 +15,6 @@ import numpy as np
 from contact_reach_ros.arm import Array
 from contact_reach_ros.bringup.processes import BringupOptions, page_address, stack_arm
 from contact_reach_ros.bringup.stack_processes import StackProcesses
-from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.errors import BagError, ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.goal_state import describe
@@ -37,8 +36,6 @@ _LINE_S = 1.0
 _DYING_S = 0.5
 _TIMEOUT_S = 30.0
 """Time of the robot's clock in which the goal must be reached, s."""
-_REFUSED_S = 2.0
-"""Time of the robot's clock for which the arm may be held while the controller refuses plans, s."""
 _SETTLE_S = 1.2
 """Time of the robot's clock that is recorded after the goal was reached, s."""
 _MISSED_SHARE = 0.02
@@ -128,10 +125,7 @@ def _run(options: DemoOptions) -> tuple[int, float]:
 
 
 def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, view: bool) -> None:
-    """Send the goal (3,), m, and watch until it is reached or over, or the time is up, or the arm cannot move.
-
-    That is because it is stopped, or because the controller refuses the plans.
-    """
+    """Send the goal (3,), m, and watch until it is reached or over, the arm is stopped or the time is up."""
     began = time.monotonic()
     if view:
         _say(f"the page will be at {page_address(stack.parameter_file)}", done=True)
@@ -140,8 +134,7 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
     _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)
     client.send_goal(target, stamp_ns=stack.stamp_ns)
     client.wait_for(lambda: [] if client.goal_state else [topics.GOAL_STATE.name])
-    moved_ns = stack.stamp_ns
-    end_ns, said_at = moved_ns + round(_TIMEOUT_S * NANOSECONDS), 0.0
+    end_ns, said_at = stack.stamp_ns + round(_TIMEOUT_S * NANOSECONDS), 0.0
     while (state := client.goal_state) is not None:
         now = time.monotonic()
         if client.stops or state.phase.is_over:
@@ -155,11 +148,6 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
             _say(f"{describe(state)}; {doing}", done=is_over or not sys.stdout.isatty())
             said_at = now
         if is_over:
-            return
-        if client.safety[CONTROLLER] != Mode.HOLDING.value:
-            moved_ns = stack.stamp_ns
-        elif client.refusals and stack.stamp_ns - moved_ns > _REFUSED_S * NANOSECONDS:
-            print(f"demo: the controller follows no plan: {client.refusals}", file=sys.stderr)
             return
         stack.watch(_LOOK_S)
 

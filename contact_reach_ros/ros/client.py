@@ -286,8 +286,11 @@ class StackClient(Client):
         if self.goal_state.phase.is_over:
             return Outcome(False, f"the planner did not take the goal: {describe(self.goal_state)}")
         if self._plans_accepted() == before:
-            reasons = self.refusals or "run contact-reach doctor"
-            return Outcome(False, f"the controller accepts no plan for the goal: {reasons}")
+            reported = self.diagnostics[CONTROLLER].items()
+            reasons = "; ".join(text for key, text in reported if key.startswith("last refusal"))
+            return Outcome(
+                False, f"the controller accepts no plan for the goal: {reasons or 'run contact-reach doctor'}"
+            )
         return Outcome(True, "the goal is taken: the controller follows the plans for it")
 
     def send_goal(self, position: Array, rotation: Array | None = None, stamp_ns: int | None = None) -> None:
@@ -315,12 +318,6 @@ class StackClient(Client):
     def why_stopped(self) -> str:
         """Which nodes stopped the arm, and why; empty if none did."""
         return "; ".join(f"{name}: {reason}" for name, reason in self.stops.items())
-
-    @property
-    def refusals(self) -> str:
-        """Why the controller last refused something, as it reports it; empty where it has refused nothing."""
-        reported = self.diagnostics.get(CONTROLLER, {}).items()
-        return "; ".join(text for key, text in reported if key.startswith("last refusal"))
 
     def _plans_accepted(self) -> int:
         return int(self.diagnostics[CONTROLLER].get("plans accepted", 0))

@@ -183,18 +183,6 @@ def test_a_goal_out_of_reach_is_refused_before_anything_starts(capsys):
     assert "2.0" in capsys.readouterr().err
 
 
-def test_refusals_end_the_demo_with_their_reason(tmp_path, capfd):
-    """All plans lead out of the controller's workspace: the arm would hold until the time is up."""
-    narrow = {"supervision.workspace_maximum": [0.1, 0.1, 0.1]}
-    parameters = parameter_file(tmp_path / "narrow.yaml", planner=SMALL_PLANNER, controller=narrow)
-    files = ("--parameters", str(parameters), "--output", str(tmp_path))
-    assert contact_reach("demo", "--lockstep", "--scene", "free", *files) == 1
-    text = capfd.readouterr()
-    assert "demo: the controller follows no plan: " in text.err and "workspace_maximum" in text.err
-    # The last line of progress before that.
-    assert max(map(float, TIME.findall(text.out)), default=0.0) < 6.0
-
-
 @pytest.mark.parametrize(
     ("code", "missed", "options", "again"),
     [
