@@ -16,6 +16,14 @@ from scipy.spatial.distance import cdist
 
 from contact_reach_ros.arm.arrays import Array
 
+POOR = 2.5
+"""Volume of a capsule, in those of its shapes' convex hull, above which it is a poor fit."""
+_WIDE = 0.1
+"""Radius above which a poor fit is worth several capsules, m."""
+_CUTS = 3
+"""Times that shapes are cut in halves at most."""
+_SMALLER = 0.75
+"""Share of a capsule's volume below which several replace it."""
 _SHORTEST = 1e-3
 """Least length of a capsule's segment, m: it needs a direction."""
 _OUTSIDE = 1e-5
@@ -36,6 +44,31 @@ class Fit:
     """m."""
     volume_ratio: float
     """Volume of the capsule by that of the shapes' convex hull; infinite for shapes that are flat."""
+
+    @property
+    def volume(self) -> float:
+        """Of the capsule, m³."""
+        return _volume(self.start, self.end, self.radius)
+
+
+def cover(balls: Array, cuts: int = _CUTS) -> list[Fit]:
+    """Capsules around `balls` (N, 4), m: one, or of a plate or block, where it is wide and a poor fit, one a slice."""
+    fit = fit_capsule(balls)
+    if not POOR < fit.volume_ratio < math.inf or fit.radius <= _WIDE or not cuts or balls[:, 3].any():
+        return [fit]
+    points = balls[:, :3]
+    axis = frame_about(fit.end - fit.start)
+    # Along the capsule, and across where the shapes are wider.
+    flat = (points - points.mean(axis=0)) @ axis[:, :2]
+    width = flat @ np.linalg.svd(flat, full_matrices=False)[2][0]
+    height = width - 0.5 * (width.min() + width.max())
+    edges = np.concatenate([ConvexHull(points).simplices[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+    first, second = edges[np.prod(height[edges], axis=1) < 0.0].T
+    share = (height[first] / (height[first] - height[second]))[:, None]
+    cut = points[first] + share * (points[second] - points[first])
+    slices = (np.concatenate([points[side], cut]) for side in (height <= 0.0, height >= 0.0))
+    fits = [one for part in slices for one in cover(np.column_stack([part, np.zeros(len(part))]), cuts - 1)]
+    return fits if sum(one.volume for one in fits) < _SMALLER * fit.volume else [fit]
 
 
 def fit_capsule(balls: Array, on_axis: bool = False) -> Fit:

@@ -17,13 +17,11 @@ from scipy.spatial import ConvexHull, QhullError
 
 from contact_reach_ros.arm.arm import Capsule, Joint, Vector3
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.capsule_fit import Fit, fit_capsule
+from contact_reach_ros.arm.capsule_fit import POOR, Fit, cover, fit_capsule
 from contact_reach_ros.arm.kinematics import rotation_from_quaternion
 from contact_reach_ros.arm.table import ArmOptions, GivenCapsule
 from contact_reach_ros.errors import SettingsError
 
-POOR = 2.5
-"""Volume of a capsule, in those of its shapes' convex hull, above which it is a poor fit."""
 _RIM = 128
 """Points on the rim of a cylinder, of which they leave 0.03 % of the radius outside."""
 _SCHEME = "package://"
@@ -46,7 +44,7 @@ class LinkCapsules(NamedTuple):
     base: tuple[Capsule, ...]
     links: tuple[Capsule, ...]
     fits: dict[str, Fit]
-    """Those that were fitted, by link."""
+    """Those that were fitted, by link; the worst of several."""
     bare: list[str]
     """Moving links without collision geometry, which have none, and the base if nothing that is fixed to it has any."""
 
@@ -56,9 +54,9 @@ def link_capsules(
 ) -> LinkCapsules:
     """Find the capsules of the base and the moving links.
 
-    Each fixed link has a capsule around its collision geometry, and each moving link one around its own and that of
-    the links that are fixed to it; links with given capsules have these instead. The first link's belongs to the base
-    if one around the joint's axis, which does not move, is no poor fit.
+    Each fixed link has a capsule around its collision geometry, or several around a table or a platform, and each
+    moving link one around its own and that of the links that are fixed to it; links with given capsules have these
+    instead. The first link's belongs to the base if one around the joint's axis, which does not move, is no poor fit.
 
     Parameters
     ----------
@@ -89,14 +87,16 @@ def link_capsules(
                 balls.setdefault(part.link if number else link, []).append(own)
         for link, shapes in balls.items():
             around = np.concatenate(shapes)
-            fit = fits[link] = fit_capsule(around)
+            found_fits = [fit_capsule(around)] if number else cover(around)
             turning = fit_capsule(around, on_axis=True) if number == 1 else None
-            if turning is not None and turning.volume_ratio <= max(POOR, fit.volume_ratio):
-                fits[link] = turning
+            if turning is not None and turning.volume_ratio <= max(POOR, found_fits[0].volume_ratio):
+                found_fits = [turning]
                 at = pin.SE3(rotation_from_quaternion(first.rotation), np.array(first.offset))
                 base.append(_capsule(0, at.act(turning.start), at.act(turning.end), turning.radius, link))
             else:
-                found.append(_capsule(number, fit.start, fit.end, fit.radius, _fixed_name(number, link, part)))
+                name = _fixed_name(number, link, part)
+                found += [_capsule(number, fit.start, fit.end, fit.radius, name) for fit in found_fits]
+            fits[link] = max(found_fits, key=lambda fit: fit.volume_ratio)
         if not balls and not options.capsules.keys() & part.places.keys():
             bare.append(part.link)
     if not moving:

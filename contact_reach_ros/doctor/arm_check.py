@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.table import Table
 
 from contact_reach_ros.arm import Arm
+from contact_reach_ros.arm.capsule_fit import POOR
 from contact_reach_ros.arm.capsules import overlapping_pairs, pair_distances, shape_name, shapes
-from contact_reach_ros.arm.link_capsules import POOR
 from contact_reach_ros.arm.table import table_text
 from contact_reach_ros.arm.urdf_reader import read_arm_file
 from contact_reach_ros.arms import ENDINGS, load_arm

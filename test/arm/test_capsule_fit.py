@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.capsule_fit import Fit, fit_capsule
+from contact_reach_ros.arm.capsule_fit import POOR, Fit, cover, fit_capsule
 
 RIM = 24
 
@@ -78,6 +78,24 @@ def test_a_sphere_and_a_capsule_stay_what_they_are_beside_smaller_things():
     capsule = fit_capsule(np.concatenate([ends, turned]))
     assert capsule.radius == pytest.approx(0.07, abs=1e-6)
     assert np.linalg.norm(capsule.end - capsule.start) == pytest.approx(0.4, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "most"),
+    [
+        (box(1.5, 1.0, 0.05), POOR),
+        (box(0.8, 0.6, 0.3), POOR),
+        (box(0.5, 0.5, 0.5), 2.8),
+        (box(4.0, 4.0, 0.1), math.inf),
+    ],
+    ids=["table", "platform", "cube", "floor"],
+)
+def test_slices_of_a_plate_are_all_inside_its_capsules(shape, most):
+    fits = cover(moved(shape))
+    points = moved(np.random.default_rng(0).uniform(-1.0, 1.0, (2000, 3)) * shape.max(axis=0))
+    assert np.max([depths(fit, points) for fit in fits], axis=0).min() >= -1e-9
+    assert max(fit.volume_ratio for fit in fits) < most
+    assert sum(fit.volume for fit in fits) <= fit_capsule(moved(shape)).volume
 
 
 def test_of_flat_shapes_no_capsule_is_a_good_fit():

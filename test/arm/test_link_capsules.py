@@ -12,6 +12,7 @@ import trimesh
 from arm_simulation import ARM
 
 from contact_reach_ros.arm import Arm
+from contact_reach_ros.arm.capsule_fit import POOR
 from contact_reach_ros.arm.capsules import (
     overlapping_pairs,
     self_pairs,
@@ -21,13 +22,13 @@ from contact_reach_ros.arm.capsules import (
     shapes,
 )
 from contact_reach_ros.arm.inverse_kinematics import unreachable
-from contact_reach_ros.arm.link_capsules import POOR
 from contact_reach_ros.arm.mjcf import build_mjcf, capsule_names
 from contact_reach_ros.arm.table import ArmOptions, GivenCapsule, arm_of_table, table_of
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arm.urdf_reader import Reading, read_arm
 from contact_reach_ros.arms import ARMS, load_arm
 from contact_reach_ros.doctor.arm_check import check_arm
+from contact_reach_ros.errors import InputError
 from contact_reach_ros.simulation.obstacles import self_contacts
 from contact_reach_ros.world.collision import check_hand, nearest
 from contact_reach_ros.world.goal import Target
@@ -89,6 +90,7 @@ RAIL = link("ground", shape('box size="2 0.2 0.1"', "0 0 0.05")) + joint(
     "ground", "base", "0 0 0.1", "1 0 0", "prismatic"
 )
 PLATFORM = link("platform", shape('box size="0.8 0.6 0.3"', "0 0 0.15")) + fixed("platform", "base", "0.2 0 0.3")
+TABLE = link("table", shape('box size="1.5 1 0.05"', "0 0 0.725")) + fixed("table", "base", "0 0 0.75")
 MOUNTED = {
     "plain": (six_links(), {}),
     "head on the first axis": (six_links(first=shape('sphere radius="0.18"', "0 0 0.45")), {}),
@@ -97,6 +99,7 @@ MOUNTED = {
     "two arms seen from one": (TWO_ARMS, {"base": "left_base", "fixed": {"right_link_2_joint": 1.2}}),
     "rail": (RAIL + six_links(), {"fixed": {"base_joint": 0.5}}),
     "above the base": (PLATFORM + six_links(), {"base": "base"}),
+    "on a table": (TABLE + six_links(), {"base": "base"}),
     "sideways": (TORSO + fixed("torso", "base", "0 0.15 0.4", "-1.5708 0 0") + six_links(), {"base": "base"}),
     "askew": (TORSO + fixed("torso", "base", "0.1 0.15 0.4", "-0.7 0.3 0.4") + six_links(), {}),
 }
@@ -256,6 +259,17 @@ def test_what_is_above_the_base_is_the_same_as_seen_from_the_root(tmp_path):
     assert set(base_radii(above)) == {"platform", "base", "link_1"}
     assert named(above, self_pairs(above)) == named(below, self_pairs(below))
     assert named(above, self_pairs(above)) >= {("platform", "link_4"), ("platform", "link_6")}
+
+
+def test_a_table_leaves_room_above_it(tmp_path):
+    arm = read(tmp_path, MOUNTED["on a table"][0], base="base").arm
+    heights = [
+        max(c.start[2], c.end[2]) + c.radius for n, c in enumerate(arm.base_capsules) if shape_name(arm, n) == "table"
+    ]
+    assert len(heights) > 1 and max(heights) < 0.06
+    check_hand(arm, Target(np.array([0.5, 0.0, 0.2]), None), ())
+    with pytest.raises(InputError, match="deep in table"):
+        check_hand(arm, Target(np.array([0.5, 0.0, 0.0]), None), ())
 
 
 def test_pairs_that_overlap_at_home_are_named(tmp_path, capsys):
