@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.output import Report, command_line, given, machine, percentiles, run_command, table, write_report
 from contact_reach_ros.arm import Arm, Array
-from contact_reach_ros.arm.capsules import segment_distances, shape_radii, shape_segments, shapes
+from contact_reach_ros.arm.capsules import moving, segment_distances, shape_radii, shape_segments, shapes
 from contact_reach_ros.arm.kinematics import link_frames_of_many
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import DEFAULT_ARM, load_arm
@@ -81,8 +81,8 @@ def random_contacts(arm: Arm, q: Array, points: int, seed: int = 0) -> Contacts:
     """Contacts on the surface of the arm in postures `q` (N, n), rad: so many on each capsule, less those in others."""
     random = np.random.default_rng(seed)
     starts, ends = shape_segments(arm, q)
-    # The base is the first of the shapes, and does not move.
-    posture, shape = (index.ravel() for index in np.mgrid[: len(q), 1 : starts.shape[1], :points][:2])
+    places = np.mgrid[: len(q), moving(arm).start : starts.shape[1], :points]
+    posture, shape = (index.ravel() for index in places[:2])
     start, axis, radius = starts[posture, shape], (ends - starts)[posture, shape], shape_radii(arm)[shape]
     length = np.linalg.norm(axis, axis=1)
     axis /= length[:, None]

@@ -68,6 +68,8 @@ class Capsule:
     start: Vector3
     end: Vector3
     radius: float
+    name: str = ""
+    """Of the link that it is on, where `link` does not say it: one that is fixed to the base."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +90,9 @@ class Arm:
         Position of the tip in the frame of the last link, m.
     capsules
         Collision shapes of the moving links, from base to tip.
-    base_capsule
-        Collision shape that does not move.
+    base_capsules
+        Collision shapes that do not move: those of the base, of all links that are fixed to it, and of a first link
+        that only turns about its own axis.
     inertia_sets
         Inertial parameters of the links by name of the set; controller and observer use 'nominal'.
     shoulder, reach
@@ -111,7 +114,7 @@ class Arm:
     tip_frame: str
     tip_offset: Vector3
     capsules: tuple[Capsule, ...]
-    base_capsule: Capsule
+    base_capsules: tuple[Capsule, ...]
     inertia_sets: Mapping[str, tuple[Inertia, ...]]
     shoulder: Vector3
     reach: float
@@ -160,6 +163,11 @@ class Arm:
         """Fingerprint of everything that models are built from, the same on every machine."""
         values = dataclasses.asdict(dataclasses.replace(self, bare=None))
         del values["defaults"], values["bare"]
+        for capsule in (*values["base_capsules"], *values["capsules"]):
+            del capsule["name"]
+        if len(values["base_capsules"]) == 1:
+            # Bags from before there were several have the same digest.
+            (values["base_capsule"],) = values.pop("base_capsules")
         if self.tip_rotation == PARALLEL:
             # Bags from before there was a rotation have the same digest.
             del values["tip_rotation"]

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm, Vector3
-from contact_reach_ros.arm.capsules import pair_distances, self_pairs
+from contact_reach_ros.arm.capsules import pair_distances, touching_pairs
 from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many, tip_positions
-from contact_reach_ros.errors import SettingsError
 
 REACH_SHARE = 0.9
 """Of the greatest distance of the tip from the shoulder, up to which goals are accepted."""
@@ -67,7 +64,7 @@ def reach(arm: Arm) -> float:
 def home(arm: Arm) -> tuple[float, ...]:
     """A posture far from singularities, tip in front, last joint's axis down, all links above the base, elbow up.
 
-    Each of these counts, none is required, except that the arm does not touch itself.
+    Each of these counts, none is required; first of all, as few capsules as possible overlap.
     """
     margin = np.minimum(_HOME_MARGIN, 0.2 * (arm.upper - arm.lower))
     middle = 0.5 * (arm.lower + arm.upper)
@@ -86,11 +83,6 @@ def home(arm: Arm) -> tuple[float, ...]:
     linear = np.cross(joint_axes, origins[-1][:, few] - origins[:-1][:, :, few], axis=1) / arm.reach
     jacobians = np.concatenate([linear, joint_axes], axis=1).transpose(2, 1, 0)
     quality = np.linalg.svd(jacobians, compute_uv=False)[:, -1] - 0.3 * wrong[few]
-    for best in quality.argsort()[::-1]:
-        posture = tuple(round(float(angle), 3) for angle in q[few[best]])
-        pairs = np.array(self_pairs(dataclasses.replace(arm, home=posture))).reshape(-1, 2)
-        if not len(pairs) or pair_distances(arm, np.array([posture]), pairs).min() > 0.0:
-            return posture
-    raise SettingsError(
-        f"arm '{arm.name}': no posture was found in which it does not touch itself; give one under home"
-    )
+    postures = np.round(q[few], 3)
+    overlaps = (pair_distances(arm, postures, touching_pairs(arm)) <= 0.0).sum(axis=1)
+    return tuple(postures[np.lexsort([-quality, overlaps])[0]].tolist())

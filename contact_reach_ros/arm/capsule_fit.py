@@ -12,13 +12,22 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.distance import cdist
 
 from contact_reach_ros.arm.arrays import Array
 
+POOR = 2.5
+"""Volume of a capsule, in those of its shapes' convex hull, above which it is a poor fit."""
+_WIDE = 0.1
+"""Radius above which a poor fit is worth several capsules, m."""
+_CUTS = 3
+"""Times that shapes are cut in halves at most."""
+_SMALLER = 0.75
+"""Share of a capsule's volume below which several replace it."""
 _SHORTEST = 1e-3
 """Least length of a capsule's segment, m: it needs a direction."""
-_ROUGH = 0.01
-"""Share of a radius by which the polygon around a cylinder may stand out of the spheres at its ends."""
+_OUTSIDE = 1e-5
+"""How far shapes may stand out of a capsule that two of their balls span, m, if that is to be theirs."""
 _SPIRAL = 500
 """Points that stand for a sphere in the volume of shapes."""
 
@@ -34,42 +43,74 @@ class Fit:
     radius: float
     """m."""
     volume_ratio: float
-    """Volume of the capsule by that of the shapes' convex hull; NaN for shapes that are flat."""
+    """Volume of the capsule by that of the shapes' convex hull; infinite for shapes that are flat."""
+
+    @property
+    def volume(self) -> float:
+        """Of the capsule, m³."""
+        return _volume(self.start, self.end, self.radius)
 
 
-def fit_capsule(balls: Array, direction: Array | None = None) -> Fit:
-    """The capsule of least volume around `balls` (N, 4), m; with its axis along `direction` (3,) if that is given."""
+def cover(balls: Array, cuts: int = _CUTS) -> list[Fit]:
+    """Capsules around `balls` (N, 4), m: one, or of a plate or block, where it is wide and a poor fit, one a slice."""
+    fit = fit_capsule(balls)
+    if not POOR < fit.volume_ratio < math.inf or fit.radius <= _WIDE or not cuts or balls[:, 3].any():
+        return [fit]
+    points = balls[:, :3]
+    axis = frame_about(fit.end - fit.start)
+    # Along the capsule, and across where the shapes are wider.
+    flat = (points - points.mean(axis=0)) @ axis[:, :2]
+    width = flat @ np.linalg.svd(flat, full_matrices=False)[2][0]
+    height = width - 0.5 * (width.min() + width.max())
+    edges = np.concatenate([ConvexHull(points).simplices[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+    first, second = edges[np.prod(height[edges], axis=1) < 0.0].T
+    share = (height[first] / (height[first] - height[second]))[:, None]
+    cut = points[first] + share * (points[second] - points[first])
+    slices = (np.concatenate([points[side], cut]) for side in (height <= 0.0, height >= 0.0))
+    fits = [one for part in slices for one in cover(np.column_stack([part, np.zeros(len(part))]), cuts - 1)]
+    return fits if sum(one.volume for one in fits) < _SMALLER * fit.volume else [fit]
+
+
+def fit_capsule(balls: Array, on_axis: bool = False) -> Fit:
+    """The capsule of least volume around `balls` (N, 4), m; with its segment on the z axis if `on_axis`."""
     balls = _outer(balls)
-    if len(balls) <= 2 and np.ptp(balls[:, 3]) == 0.0 and direction is None:
-        # A sphere or a capsule already.
-        return _judged(balls[0, :3], balls[-1, :3], float(balls[0, 3]), balls)
-    center = 0.5 * (balls[:, :3].min(axis=0) + balls[:, :3].max(axis=0))
-    size = float(np.ptp(balls[:, :3], axis=0).max()) + float(balls[:, 3].max())
-    principal = np.linalg.svd(balls[:, :3] - balls[:, :3].mean(axis=0))[2]
-    frames = [frame_about(axis) for axis in (principal if direction is None else [direction])]
+    if not on_axis:
+        # The largest balls that are farthest apart: what is between them is a sphere or a capsule already.
+        largest = balls[balls[:, 3] >= balls[:, 3].max() - 0.1 * _OUTSIDE]
+        if largest[0, 3] > 0.0:
+            apart = cdist(largest[:, :3], largest[:, :3])
+            first, second = (largest[index, :3] for index in np.unravel_index(apart.argmax(), apart.shape))
+            if _depths(first, second, float(largest[0, 3]), balls).min() >= -_OUTSIDE:
+                return _judged(first, second, float(largest[0, 3]), balls)
+    center = np.zeros(3) if on_axis else 0.5 * (balls[:, :3].min(axis=0) + balls[:, :3].max(axis=0))
+    size = float(np.ptp(balls[:, :3], axis=0).max()) + float(balls[:, 3].max()) + _SHORTEST
+    principal = np.linalg.svd(balls[:, :3] - balls[:, :3].mean(axis=0), full_matrices=False)[2]
+    frames = [np.eye(3)] if on_axis else [frame_about(axis) for axis in principal]
 
-    def capsule(frame: Array, values: Array) -> tuple[Array, Array, float]:
-        """Of an axis shifted by two distances, in units of the size, widened, and tilted in two directions."""
-        turned = frame if direction is not None else frame_about(frame @ (values[3], values[4], 1.0))
+    def capsule(values: Array, frame: Array) -> tuple[Array, Array, float]:
+        """Widened, and, unless it is on the axis, tilted and shifted in two directions, in units of the size."""
+        widened, *aside = values
+        tilt, shift = (aside[:2], size * np.array(aside[2:])) if aside else ((0.0, 0.0), np.zeros(2))
+        turned = frame_about(frame @ (*tilt, 1.0)) if aside else frame
         local = (balls[:, :3] - center) @ turned
-        aside = np.hypot(local[:, 0] - size * values[0], local[:, 1] - size * values[1])
-        radius = float((aside + balls[:, 3]).max()) * (1.0 + abs(values[2]))
-        along = np.sqrt(np.maximum((radius - balls[:, 3]) ** 2 - aside**2, 0.0))
+        distance = np.hypot(local[:, 0] - shift[0], local[:, 1] - shift[1])
+        radius = float((distance + balls[:, 3]).max()) * (1.0 + abs(widened))
+        along = np.sqrt(np.maximum((radius - balls[:, 3]) ** 2 - distance**2, 0.0))
         low, high = float((local[:, 2] + along).min()), float((local[:, 2] - along).max())
         if high - low < _SHORTEST:
             low, high = 0.5 * (low + high - _SHORTEST), 0.5 * (low + high + _SHORTEST)
-        offset = turned[:, :2] @ (size * values[:2]) + center
+        offset = turned[:, :2] @ shift + center
         return offset + low * turned[:, 2], offset + high * turned[:, 2], radius
 
     def volume(values: Array, frame: Array) -> float:
-        return _volume(*capsule(frame, values)) / size**3
+        return _volume(*capsule(values, frame)) / size**3
 
-    variables = 3 if direction is not None else 5
+    variables = 1 if on_axis else 5
     simplex = np.vstack([np.zeros(variables), 0.1 * np.eye(variables)])
-    options = {"initial_simplex": simplex, "xatol": 1e-4, "fatol": 1e-7, "maxiter": 600}
+    options = {"initial_simplex": simplex, "xatol": 5e-4, "fatol": 1e-6, "maxiter": 600}
     found = [(minimize(volume, simplex[0], (frame,), "Nelder-Mead", options=options), frame) for frame in frames]
     best, frame = min(found, key=lambda pair: pair[0].fun)
-    return _judged(*capsule(frame, best.x), balls)
+    return _judged(*capsule(best.x, frame), balls)
 
 
 def _judged(start: Array, end: Array, radius: float, balls: Array) -> Fit:
@@ -83,7 +124,7 @@ def _judged(start: Array, end: Array, radius: float, balls: Array) -> Fit:
     try:
         bare = float(ConvexHull(np.concatenate(points)).volume)
     except QhullError:
-        bare = math.nan
+        return Fit(start, end, radius, math.inf)
     return Fit(start, end, radius, _volume(start, end, radius) / bare)
 
 
@@ -92,26 +133,23 @@ def _volume(start: Array, end: Array, radius: float) -> float:
     return math.pi * radius**2 * (float(np.linalg.norm(end - start)) + 4.0 / 3.0 * radius)
 
 
+def _depths(start: Array, end: Array, radius: float, balls: Array) -> Array:
+    """How deep each ball lies in a capsule, m; negative where it stands out."""
+    axis = end - start
+    share = np.clip((balls[:, :3] - start) @ axis / max(float(axis @ axis), 1e-12), 0.0, 1.0)
+    return radius - balls[:, 3] - np.linalg.norm(balls[:, :3] - start - share[:, None] * axis, axis=1)
+
+
 def _outer(balls: Array) -> Array:
-    """The balls that the convex hull needs: neither inside others, nor inside the capsule that two equal ones span."""
-    round_ = balls[balls[:, 3] > 0.0]
-    keep = np.ones(len(balls), bool)
-    for first in round_:
-        for second in round_:
-            if first[3] == second[3]:
-                axis = second[:3] - first[:3]
-                share = (balls[:, :3] - first[:3]) @ axis / max(float(axis @ axis), 1e-12)
-                nearest = first[:3] + np.clip(share, 0.0, 1.0)[:, None] * axis
-                depth = first[3] - balls[:, 3] - np.linalg.norm(balls[:, :3] - nearest, axis=1)
-                own = (balls == first).all(axis=1) | (balls == second).all(axis=1)
-                keep &= (depth < -_ROUGH * first[3]) | own
-    balls = np.unique(balls[keep], axis=0)
-    if len(balls) > 8 and not balls[:, 3].any():
-        try:
-            return balls[ConvexHull(balls[:, :3]).vertices]
-        except QhullError:
-            pass
-    return balls
+    """The balls without the points that are inside of the convex hull of all points."""
+    points = balls[balls[:, 3] == 0.0]
+    if len(points) <= 8:
+        return balls
+    try:
+        return np.concatenate([balls[balls[:, 3] > 0.0], points[ConvexHull(points[:, :3]).vertices]])
+    except QhullError:
+        # They are flat: all of them are outside.
+        return balls
 
 
 def frame_about(axis: Array) -> Array:

@@ -25,14 +25,19 @@ _UNCHANGED = 1e-3
 
 
 def shapes(arm: Arm) -> tuple[Capsule, ...]:
-    """All collision shapes: the base's, then those of the moving links."""
-    return (arm.base_capsule, *arm.capsules)
+    """All collision shapes: those that do not move, then those of the moving links."""
+    return (*arm.base_capsules, *arm.capsules)
+
+
+def moving(arm: Arm) -> slice:
+    """Those of `shapes` that are on moving links."""
+    return slice(len(arm.base_capsules), None)
 
 
 def shape_name(arm: Arm, shape: int) -> str:
     """Name of the link that carries one of `shapes`."""
-    link = shapes(arm)[shape].link
-    return arm.link_names[link - 1] if link else arm.base_frame
+    capsule = shapes(arm)[shape]
+    return capsule.name or (arm.link_names[capsule.link - 1] if capsule.link else arm.base_frame)
 
 
 @functools.cache
@@ -74,35 +79,51 @@ def segment_distances(first: tuple[Array, Array], second: tuple[Array, Array]) -
 
 @functools.cache
 def self_pairs(arm: Arm) -> tuple[tuple[int, int], ...]:
-    """Indices into `shapes` of the pairs that can touch, found once for each arm: no tool without a shape changes them.
+    """Indices into `shapes` of the pairs that are kept apart: those of `touching_pairs` that are apart at home."""
+    return _at_home(arm, overlapping=False)
 
-    Left out are pairs that overlap at home, those that no posture within the limits brings near each other, and those
-    whose distance a single joint changes: that joint's limits keep them apart, whatever the capsules' coarse ends do.
+
+def overlapping_pairs(arm: Arm) -> tuple[tuple[int, int], ...]:
+    """Indices into `shapes` of the pairs that nothing keeps apart, though they can touch: they overlap at home."""
+    return _at_home(arm, overlapping=True)
+
+
+def _at_home(arm: Arm, overlapping: bool) -> tuple[tuple[int, int], ...]:
+    pairs = touching_pairs(arm)
+    overlap = pair_distances(arm, np.array([arm.home]), pairs)[0] < 0.0
+    return tuple((int(first), int(second)) for first, second in pairs[overlap == overlapping])
+
+
+def touching_pairs(arm: Arm) -> NDArray[np.intp]:
+    """Indices (P, 2) into `shapes` of the pairs that can touch, found once for all arms with the same capsules.
+
+    Left out are pairs that no posture within the limits brings near each other, and those whose distance a single
+    joint changes: that joint's limits keep them apart, whatever the capsules' coarse ends do.
     """
-    return _touching(
-        dataclasses.replace(arm, inertia_sets={}, tip_offset=(0.0, 0.0, 0.0), tip_rotation=PARALLEL, reach=0.0)
-    )
+    nowhere = (0.0,) * 3
+    same = {"tip_offset": nowhere, "tip_rotation": PARALLEL, "shoulder": nowhere, "reach": 0.0, "inertia_sets": {}}
+    return _touching(dataclasses.replace(arm, home=(0.0,) * arm.n, **same))  # type: ignore[arg-type]
 
 
 @functools.cache
-def _touching(arm: Arm) -> tuple[tuple[int, int], ...]:
+def _touching(arm: Arm) -> NDArray[np.intp]:
     random = np.random.default_rng(0)
     postures = random.uniform(arm.lower, arm.upper, (_POSTURES, arm.n))
-    near = pair_distances(arm, postures).min(axis=0) < _NEAR
-    pairs = all_pairs(arm)[near & (pair_distances(arm, np.array([arm.home]))[0] >= 0.0)]
+    pairs = all_pairs(arm)[pair_distances(arm, postures).min(axis=0) < _NEAR]
     few = postures[:_TURNED]
-    before, moving = pair_distances(arm, few, pairs), np.zeros(len(pairs), int)
+    before, changing = pair_distances(arm, few, pairs), np.zeros(len(pairs), int)
     for joint in range(arm.n):
         turned = few.copy()
         turned[:, joint] = random.uniform(arm.lower[joint], arm.upper[joint], len(few))
-        moving += np.abs(pair_distances(arm, turned, pairs) - before).max(axis=0) > _UNCHANGED
-    return tuple((int(first), int(second)) for first, second in pairs[moving > 1])
+        changing += np.abs(pair_distances(arm, turned, pairs) - before).max(axis=0) > _UNCHANGED
+    return pairs[changing > 1]
 
 
 @functools.cache
 def all_pairs(arm: Arm) -> NDArray[np.intp]:
-    """Indices (P, 2) into `shapes` of all pairs."""
-    return np.stack(np.triu_indices(len(shapes(arm)), 1), axis=1)
+    """Indices (P, 2) into `shapes` of all pairs but those that do not move."""
+    pairs = np.stack(np.triu_indices(len(shapes(arm)), 1), axis=1)
+    return pairs[pairs[:, 1] >= len(arm.base_capsules)]
 
 
 def pair_distances(arm: Arm, q: Array, pairs: NDArray[np.intp] | None = None) -> Array:

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.capsules import segment_distances
 from contact_reach_ros.arm.kinematics import link_frames_of_many
 
 _STEPS = 60
@@ -29,11 +30,11 @@ def unreachable(arm: Arm, position: Array) -> str:
     distance = float(np.linalg.norm(position - arm.shoulder))
     if distance > arm.reach:
         return f"is {distance:.3f} m from the shoulder at {list(arm.shoulder)} m; the arm reaches {arm.reach} m"
-    base = arm.base_capsule
-    axis_point = np.array([0.0, 0.0, np.clip(position[2], 0.0, base.end[2])])
-    if np.linalg.norm(position - axis_point) < base.radius:
-        place = np.round(position, 3).tolist()
-        return f"= {place} m lies inside the base; expected at least {base.radius} m from its axis"
+    for fixed in arm.base_capsules:
+        ends = np.array(fixed.start, float), np.array(fixed.end, float)
+        if segment_distances((position, position), ends) < fixed.radius:
+            place, name = np.round(position, 3).tolist(), fixed.name or "the base"
+            return f"= {place} m lies inside {name}; expected at least {fixed.radius} m from its axis"
     return ""
 
 

@@ -16,18 +16,14 @@ from scipy.spatial import ConvexHull, QhullError
 
 from contact_reach_ros.arm.arm import Capsule, Joint, Vector3
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.capsule_fit import Fit, fit_capsule
-from contact_reach_ros.arm.kinematics import rotation_about, rotation_from_quaternion
+from contact_reach_ros.arm.capsule_fit import POOR, Fit, cover, fit_capsule
+from contact_reach_ros.arm.kinematics import rotation_from_quaternion
 from contact_reach_ros.arm.robot_file import POINTS, find_mesh
-from contact_reach_ros.arm.table import ArmOptions
+from contact_reach_ros.arm.table import ArmOptions, GivenCapsule
 from contact_reach_ros.errors import SettingsError
 
-_SWEEP = 12
-"""Angles of the first joint at which its link is part of the base's capsule."""
-_WIDE = 1.3
-"""Factor on the radius of the base's capsule up to which the swept first link belongs to it."""
-_RIM = 24
-"""Points on the rim of a cylinder; their polygon is around the circle."""
+_RIM = 128
+"""Points on the rim of a cylinder, of which they leave 0.03 % of the radius outside."""
 
 
 class Part(NamedTuple):
@@ -43,21 +39,22 @@ class Part(NamedTuple):
 class LinkCapsules(NamedTuple):
     """Capsules of base and links, and how they were found."""
 
-    base: Capsule
+    base: tuple[Capsule, ...]
     links: tuple[Capsule, ...]
     fits: dict[str, Fit]
-    """Those that were fitted, by link."""
+    """Those that were fitted, by link; the worst of several."""
     bare: list[str]
-    """Moving links without collision geometry, which have none."""
+    """Moving links without collision geometry, which have none, and the base if nothing that is fixed to it has any."""
 
 
 def link_capsules(
     links: Mapping[str, Element], file: Path, options: ArmOptions, parts: Sequence[Part], first: Joint
 ) -> LinkCapsules:
-    """Find the capsules of the base and the moving links: given ones, or one around all collision geometry of a link.
+    """Find the capsules of the base and the moving links.
 
-    The base's stands upright. A first link that only turns about the base's axis is part of it, unless that would make
-    it much wider.
+    Each fixed link has a capsule around its collision geometry, or several around a table or a platform, and each
+    moving link one around its own and that of the links that are fixed to it; links with given capsules have these
+    instead. The first link's belongs to the base if one around the joint's axis, which does not move, is no poor fit.
 
     Parameters
     ----------
@@ -71,45 +68,40 @@ def link_capsules(
     Raises
     ------
     SettingsError
-        If a mesh cannot be read, or the base or all moving links have neither collision geometry nor given capsules.
+        If a mesh cannot be read, or no moving link has collision geometry or given capsules.
     """
-    given = [_given(options, number, part) for number, part in enumerate(parts)]
-    shapes = [
-        _part_balls(links, file, options, part) if own is None else np.zeros((0, 4))
-        for own, part in zip(given, parts, strict=True)
-    ]
+    base: list[Capsule] = []
+    moving: list[Capsule] = []
     fits: dict[str, Fit] = {}
-    begin, base = 1, given[0][0] if given[0] else None
-    if base is None:
-        upright = np.array([0.0, 0.0, 1.0])
-        fit = fit_capsule(shapes[0], upright) if len(shapes[0]) else None
-        swept = _swept(first, shapes[1])
-        if len(swept):
-            wide = fit_capsule(np.concatenate([shapes[0], swept]), upright)
-            if fit is None or wide.radius <= _WIDE * fit.radius:
-                begin, fit = 2, wide
-        if fit is None:
-            raise SettingsError(
-                f"{file}: base '{parts[0].link}' has no collision geometry; expected some in the URDF, or a capsule "
-                f"under capsules ({{{parts[0].link}: [{{start: ..., end: ..., radius: ...}}]}})"
-            )
-        fits[parts[0].link], base = fit, _capsule(0, fit)
-    capsules: list[Capsule] = []
     bare = []
-    for number in range(begin, len(parts)):
-        own, link = given[number], parts[number].link
-        if own is not None:
-            capsules += own
-        elif len(shapes[number]):
-            fits[link] = fit_capsule(shapes[number])
-            capsules.append(_capsule(number, fits[link]))
-        else:
-            bare.append(link)
-    if not capsules:
+    for number, part in enumerate(parts):
+        found = moving if number else base
+        # By the link whose capsule is around them.
+        balls: dict[str, list[Array]] = {}
+        for link, place in part.places.items():
+            if link in options.capsules:
+                found += [_given(number, each, place, link, part) for each in options.capsules[link]]
+            elif len(own := _link_balls(links[link], file, options, place, link)):
+                balls.setdefault(part.link if number else link, []).append(own)
+        for link, shapes in balls.items():
+            around = np.concatenate(shapes)
+            found_fits = [fit_capsule(around)] if number else cover(around)
+            turning = fit_capsule(around, on_axis=True) if number == 1 else None
+            if turning is not None and turning.volume_ratio <= max(POOR, found_fits[0].volume_ratio):
+                found_fits = [turning]
+                at = pin.SE3(rotation_from_quaternion(first.rotation), np.array(first.offset))
+                base.append(_capsule(0, at.act(turning.start), at.act(turning.end), turning.radius, link))
+            else:
+                name = _fixed_name(number, link, part)
+                found += [_capsule(number, fit.start, fit.end, fit.radius, name) for fit in found_fits]
+            fits[link] = max(found_fits, key=lambda fit: fit.volume_ratio)
+        if not balls and not options.capsules.keys() & part.places.keys():
+            bare.append(part.link)
+    if not moving:
         raise SettingsError(
             f"{file}: no moving link has collision geometry; expected some in the URDF, or some under capsules"
         )
-    return LinkCapsules(base, tuple(capsules), fits, bare)
+    return LinkCapsules(tuple(base), tuple(moving), fits, bare)
 
 
 def vector(values: Array) -> Vector3:
@@ -118,28 +110,24 @@ def vector(values: Array) -> Vector3:
     return x, y, z
 
 
-def _given(options: ArmOptions, number: int, part: Part) -> list[Capsule] | None:
-    """The capsules of a part that the options have, in its turned frame; None if they say nothing about it."""
-    found = None
-    for name, place in part.places.items():
-        if name in options.capsules:
-            found = found or []
-            for each in options.capsules[name]:
-                start, end = (vector(place.act(np.array(point))) for point in (each.start, each.end))
-                found.append(Capsule(number, start, end, each.radius))
-    return found
+def _given(number: int, given: GivenCapsule, place: pin.SE3, link: str, part: Part) -> Capsule:
+    start, end = (vector(place.act(np.array(point))) for point in (given.start, given.end))
+    return Capsule(number, start, end, given.radius, _fixed_name(number, link, part))
 
 
-def _part_balls(links: Mapping[str, Element], file: Path, options: ArmOptions, part: Part) -> Array:
-    """Balls (N, 4) whose convex hulls cover the collision shapes of a part, in its turned frame."""
-    found = [np.zeros((0, 4))]
-    for name, place in part.places.items():
-        where = f"{file}: link '{name}'"
-        for element in links[name].findall("collision"):
-            at = place * placement(element.find("origin"))
-            for shape in element.findall("geometry/*"):
-                balls = _mesh_balls(shape, file, options, where) if shape.tag == "mesh" else _balls(shape, where)
-                found.append(_moved(balls, at.rotation, at.translation))
+def _fixed_name(number: int, link: str, part: Part) -> str:
+    """Name of a capsule on a link that is fixed to the base; empty for the base's own and those of moving links."""
+    return link if number == 0 and link != part.link else ""
+
+
+def _link_balls(element: Element, file: Path, options: ArmOptions, place: pin.SE3, name: str) -> Array:
+    """Balls (N, 4) whose convex hulls cover the collision shapes of a link at `place`."""
+    found, where = [np.zeros((0, 4))], f"{file}: link '{name}'"
+    for collision in element.findall("collision"):
+        at = place * placement(collision.find("origin"))
+        for shape in collision.findall("geometry/*"):
+            balls = _mesh_balls(shape, file, options, where) if shape.tag == "mesh" else _balls(shape, where)
+            found.append(np.column_stack([balls[:, :3] @ at.rotation.T + at.translation, balls[:, 3]]))
     return np.concatenate(found)
 
 
@@ -173,7 +161,7 @@ def _balls(shape: Element, where: str) -> Array:
     if shape.tag == "capsule":
         return _with_radius(ends, radius)
     angles = np.linspace(0.0, 2.0 * np.pi, _RIM, endpoint=False)
-    rim = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1) * radius / np.cos(np.pi / _RIM)
+    rim = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1) * radius
     return _with_radius(np.concatenate([rim + end for end in ends]), 0.0)
 
 
@@ -210,20 +198,7 @@ def _with_radius(points: Array, radius: float) -> Array:
     return np.column_stack([points, np.full(len(points), radius)])
 
 
-def _moved(balls: Array, rotation: Array, offset: Array) -> Array:
-    return np.column_stack([balls[:, :3] @ rotation.T + offset, balls[:, 3]])
-
-
-def _swept(first: Joint, balls: Array) -> Array:
-    """The first link's balls at all angles of its joint, in the base's frame; none if it turns about another axis."""
-    at_zero = rotation_from_quaternion(first.rotation)
-    if at_zero[2, 2] < 1.0 - 1e-9 or math.hypot(*first.offset[:2]) > 1e-6:
-        return balls[:0]
-    turns = [rotation_about((0.0, 0.0, 1.0), angle) for angle in np.linspace(0.0, 2.0 * np.pi, _SWEEP, endpoint=False)]
-    return np.concatenate([_moved(balls, at_zero @ turn, np.array(first.offset)) for turn in turns])
-
-
-def _capsule(link: int, fit: Fit) -> Capsule:
+def _capsule(link: int, start: Array, end: Array, radius: float, name: str) -> Capsule:
     """In tenths of a millimetre; what fits stays inside."""
-    start, end = (vector(np.round(point, 4)) for point in (fit.start, fit.end))
-    return Capsule(link, start, end, round(math.ceil(1e4 * fit.radius) / 1e4 + 1e-4, 4))
+    begins, ends = (vector(np.round(point, 4) + 0.0) for point in (start, end))
+    return Capsule(link, begins, ends, round(math.ceil(1e4 * radius) / 1e4 + 1e-4, 4), name)

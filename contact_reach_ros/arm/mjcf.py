@@ -30,9 +30,8 @@ def numbers(values: Iterable[float]) -> str:
 
 def capsule_names(arm: Arm) -> tuple[str, ...]:
     """Names of the geometries of base and links, in the order of `capsules.shapes`."""
-    links = [capsule.link for capsule in arm.capsules]
-    on_links = [_capsule_name(link, links[:index].count(link)) for index, link in enumerate(links)]
-    return (_capsule_name(arm.base_capsule.link, 0), *on_links)
+    links = [capsule.link for capsule in (*arm.base_capsules, *arm.capsules)]
+    return tuple(_capsule_name(link, links[:index].count(link)) for index, link in enumerate(links))
 
 
 def _capsule_name(link: int, number: int) -> str:
@@ -76,7 +75,8 @@ def build_mjcf(
     SubElement(root, "option", timestep="0.001", integrator="Euler")
     world = SubElement(root, "worldbody")
     body = SubElement(world, "body", name=arm.base_frame if arm.base_frame != _WORLD else f"{_WORLD}_base")
-    body.append(_capsule(arm.base_capsule, _capsule_name(arm.base_capsule.link, 0)))
+    for index, capsule in enumerate(arm.base_capsules):
+        body.append(_capsule(capsule, _capsule_name(0, index)))
     inertias = arm.inertias(inertia_set)
     for number, (joint, link, inertia) in enumerate(zip(arm.joints, arm.link_names, inertias, strict=True), 1):
         body = SubElement(body, "body", name=link, pos=numbers(joint.offset), quat=numbers(joint.rotation))

@@ -56,7 +56,7 @@ class ArmOptions:
     inertias: Mapping[str, Inertia] = field(default_factory=dict)
     """By link, in its frame in the URDF, instead of the URDF's; without the links that are fixed to it."""
     capsules: Mapping[str, tuple[GivenCapsule, ...]] = field(default_factory=dict)
-    """By link, instead of fitted ones; with those of the links that are fixed to it."""
+    """By link, instead of the one around its collision geometry."""
     packages: Mapping[str, str] = field(default_factory=dict)
     """Folders of ROS packages that meshes and xacro files are in."""
     xacro: Mapping[str, str | float | bool] = field(default_factory=dict)
@@ -78,6 +78,11 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
         If a key is unknown or missing, or a value of the wrong type, or there is not one of something for each joint;
         the message begins with `source`.
     """
+    if "base_capsule" in content:
+        # Of before there were several, read until version 0.4.
+        content = {key: value for key, value in content.items() if key != "base_capsule"} | {
+            "base_capsules": [content["base_capsule"]]
+        }
     arm = converted({"defaults": {}, **content}, Arm, source)
     lists: dict[str, Any] = {"link_names": arm.link_names, "home": arm.home}
     lists |= {f"inertia_sets: {name}": values for name, values in arm.inertia_sets.items()}
@@ -86,6 +91,9 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
     for capsule in arm.capsules:
         if not 1 <= capsule.link <= arm.n:
             raise SettingsError(f"{source}: capsules: link = {capsule.link}; expected a number from 1 to {arm.n}")
+    for capsule in arm.base_capsules:
+        if capsule.link:
+            raise SettingsError(f"{source}: base_capsules: link = {capsule.link}; expected 0, the base")
     return dataclasses.replace(arm, defaults={**assumptions.defaults(arm), **arm.defaults})
 
 

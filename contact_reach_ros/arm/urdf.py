@@ -24,7 +24,8 @@ def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
     """
     robot = Element("robot", name=arm.name)
     base = SubElement(robot, "link", name=arm.base_frame)
-    _add_capsule(base, arm.base_capsule)
+    for capsule in arm.base_capsules:
+        _add_capsule(base, capsule)
     parent = arm.base_frame
     inertias = arm.inertias(inertia_set)
     for number, (joint, name, inertia) in enumerate(zip(arm.joints, arm.link_names, inertias, strict=True), 1):

@@ -111,7 +111,7 @@ class _Reader:
         lists: dict[str, Sequence[float]] = {f"thresholds: {key}": list_ for key, list_ in options.thresholds.items()}
         lists |= {"armature": armature} | ({} if options.home is None else {"home": options.home})
         check_lengths(lists, len(moving), str(self.file))
-        model = self._model(base, moving)
+        model = self._model(moving)
         parts = _parts(model, base, moving)
         joints, inertias = [], []
         for number, (joint, own_armature) in enumerate(zip(moving, armature, strict=True), 1):
@@ -134,7 +134,7 @@ class _Reader:
             tip_offset=vector(tip_place.translation),
             tip_rotation=_quaternion(tip_place.rotation),
             capsules=found.links,
-            base_capsule=found.base,
+            base_capsules=found.base,
             inertia_sets={"nominal": tuple(inertias)},
             shoulder=(0.0, 0.0, 0.0),
             reach=0.0,
@@ -234,10 +234,10 @@ class _Reader:
             )
         return moving
 
-    def _model(self, base: str, moving: Sequence[UrdfJoint]) -> pin.Model:
-        """What Pinocchio reads of the links below the base; all joints but the moving ones are held."""
+    def _model(self, moving: Sequence[UrdfJoint]) -> pin.Model:
+        """What Pinocchio reads of all links; all joints but the moving ones are held."""
         robot, held = Element("robot", name=self.tree.name), {}
-        waiting = [base]
+        waiting = [self.tree.root]
         while waiting:
             name = waiting.pop()
             self._add_link(robot, name)
@@ -343,7 +343,7 @@ class _Reader:
 
 def _parts(model: pin.Model, base: str, moving: Sequence[UrdfJoint]) -> list[Part]:
     """The base and the moving links, each with the links that are fixed to it."""
-    parts = [Part(base, pin.SE3.Identity(), {})]
+    parts = [Part(base, model.frames[model.getFrameId(_LINK + base)].placement.copy(), {})]
     for number, joint in enumerate(moving, 1):
         axis = model.joints[number].createData().S[3:]
         parts.append(Part(joint.child, pin.SE3(frame_about(axis), np.zeros(3)), {}))

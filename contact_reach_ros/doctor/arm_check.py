@@ -9,7 +9,8 @@ from rich.console import Console
 from rich.table import Table
 
 from contact_reach_ros.arm import Arm
-from contact_reach_ros.arm.capsules import shape_name, shapes
+from contact_reach_ros.arm.capsule_fit import POOR
+from contact_reach_ros.arm.capsules import overlapping_pairs, pair_distances, shape_name, shapes
 from contact_reach_ros.arm.table import table_text
 from contact_reach_ros.arm.urdf_reader import Reading, read_arm_file
 from contact_reach_ros.arms import ENDINGS, load_arm
@@ -44,6 +45,23 @@ def check_arm(name: str, table: Path | None = None) -> None:
         judged = "given" if fit is None else f"{fit.volume_ratio:.2f}"
         capsules.add_row(link, f"{capsule.radius:.3f}", f"{length:.3f}", judged)
     console.print(capsules)
+    for link in (link for link, fit in fits.items() if not fit.volume_ratio <= POOR):
+        console.print(
+            f"poor fit: the capsule on {link} has more than {POOR:g} times the volume of its shapes; give several "
+            f"under capsules ({{{link}: [{{start: ..., end: ..., radius: ...}}, ...]}})",
+            markup=False,
+        )
+    if overlapping := overlapping_pairs(arm):
+        depths = -1000.0 * pair_distances(arm, np.array([arm.home]), np.array(overlapping))[0]
+        pairs = (
+            f"{shape_name(arm, first)} and {shape_name(arm, second)} (by {depth:.0f} mm)"
+            for (first, second), depth in zip(overlapping, depths, strict=True)
+        )
+        console.print(
+            f"not kept apart, since their capsules overlap at home: {', '.join(pairs)}; give another home or tighter "
+            "capsules",
+            markup=False,
+        )
     for line in assumed:
         console.print(f"assumed: {line}", markup=False)
     for line in doubts:

@@ -10,12 +10,11 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Arm, Array
-from contact_reach_ros.arm.capsules import shape_segments
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.transfer.clearance import Bodies
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.world.collision import body_distances, clearances, nearest
+from contact_reach_ros.world.collision import body_distances, capsule_segments, clearances, nearest
 from contact_reach_ros.world.rigid import Block, Environment, Plane, RigidBody
 from contact_reach_ros.world.spheres import Spheres
 
@@ -144,7 +143,7 @@ def nearest_bodies(arm: Arm, q: Array, environment: Environment) -> Bodies:
     planes = tuple(body for body in environment if isinstance(body, Plane))
     blocks = tuple(body for body in environment if isinstance(body, Block))
     if len(planes) > PLANES or len(blocks) > BLOCKS:
-        starts, ends = (points[0, 1:] for points in shape_segments(arm, q[None]))
+        starts, ends = capsule_segments(arm, q)
 
         def distance(body: RigidBody) -> float:
             return float(body_distances(body, starts, ends).min())

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import Arm, Array, link_frames, link_frames_of_many
-from contact_reach_ros.arm.capsules import pair_distances, self_pairs, shape_radii, shape_segments
+from contact_reach_ros.arm.capsules import moving, pair_distances, self_pairs, shape_radii, shape_segments
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SceneError
@@ -85,7 +85,7 @@ def with_gap(section: ObstacleSettings, arm: Arm, postures: Array) -> ObstacleSe
 def _height(arm: Arm, q: Array, depth: float) -> float:
     """Height of the part of hand and forearm that is at most `depth` behind the tip along x, in a posture (n,), m."""
     starts, ends = capsule_segments(arm, q)
-    beyond, radii = capsule_links(arm) >= _FOREARM_LINK, shape_radii(arm)[1:, None]
+    beyond, radii = capsule_links(arm) >= _FOREARM_LINK, shape_radii(arm)[moving(arm), None]
     points = starts[:, None] + _POINTS[:, None] * (ends - starts)[:, None]
     counts = beyond[:, None] & (points[..., 0] >= link_frames(arm, q)[1][-1][0] - depth)
     above, below = points[..., 2] + radii, points[..., 2] - radii
@@ -138,7 +138,7 @@ def _postures(arm: Arm, position: Array, seeds: Array) -> Array:
     if not len(found) or not len(pairs):
         return found
     found = found[pair_distances(arm, found, pairs).min(axis=1) > 0.0]
-    hand = np.flatnonzero(on_hand(arm)) + 1
+    hand = np.flatnonzero(on_hand(arm)) + moving(arm).start
     heights, radius = np.stack(shape_segments(arm, found))[:, :, hand, 2], shape_radii(arm)[hand]
     thickness = (heights + radius).max(axis=(0, 2)) - (heights - radius).min(axis=(0, 2))
     elbow = link_frames_of_many(arm, found)[1][:, 2].max(axis=0)

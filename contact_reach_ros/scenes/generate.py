@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm import Arm, Array, checked_array, link_frames
-from contact_reach_ros.arm.capsules import shape_name, shape_segments
+from contact_reach_ros.arm.capsules import moving, shape_name, shape_segments
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import ContactReachError, InputError, SceneError, SettingsError
@@ -240,7 +240,7 @@ def _conflict_with(obstacle: Obstacle, scene: Scene) -> str:
     if inside[index] > _TOLERANCE:
         return f"{name} lies {1000 * inside[index]:.1f} mm inside {_sphere(obstacle, int(index))}; {remedy} the target"
     shift = scene.target - link_frames(arm, scene.start)[1][-1]
-    moved = overlap_depths(arm, starts[1:] + shift, ends[1:] + shift, obstacle.rest, radius)
+    moved = overlap_depths(arm, starts[moving(arm)] + shift, ends[moving(arm)] + shift, obstacle.rest, radius)
     in_hand: Array = np.where(obstacle.fixed, moved[on_hand(arm)].max(axis=0, initial=-np.inf), -np.inf)
     index = in_hand.argmax()
     if in_hand[index] > _TOLERANCE:

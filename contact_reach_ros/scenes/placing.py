@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Arm, Array, link_frames, rotation_about
-from contact_reach_ros.arm.capsules import shape_radii, shape_segments
+from contact_reach_ros.arm.capsules import moving, shape_radii, shape_segments
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.world.collision import capsule_segments, overlap_depths
@@ -95,7 +95,7 @@ def place_ball(ball: BallSettings, arm: Arm, path: Array, random: np.random.Gene
         direction = points[moment] - points[moment - 5]
         direction -= axis * (direction @ axis) / (axis @ axis)
         direction /= max(float(np.linalg.norm(direction)), 1e-9)
-        reach = shape_radii(arm)[1 + capsule] + ball.radius - random.uniform(least, most)
+        reach = shape_radii(arm)[moving(arm)][capsule] + ball.radius - random.uniform(least, most)
         center: Array = points[moment] + reach * direction
         depths = overlap_depths(arm, starts, ends, center[None], ball.radius)[..., 0]
         deepest = depths.max(axis=0)
@@ -119,7 +119,7 @@ def place_walls(walls: WallSettings, arm: Arm, path: Array, random: np.random.Ge
     holding = holding_segments(arm, path[-1])
     hand, middle = on_hand(arm), on_middle(arm)
     points = np.concatenate([starts[:, hand], ends[:, hand]], axis=1)
-    reach = np.tile(shape_radii(arm)[1:][hand], 2)
+    reach = np.tile(shape_radii(arm)[moving(arm)][hand], 2)
     hand_middles = 0.5 * ((points[..., 2] + reach).max(axis=1) + (points[..., 2] - reach).min(axis=1))
     hand_x = ends[:, hand][:, -1, 0]
     half_thickness, scale = 0.5 * walls.size[0], arm.reach / _REACH
@@ -193,7 +193,7 @@ def on_middle(arm: Arm) -> NDArray[np.bool_]:
 def path_segments(arm: Arm, path: Array) -> tuple[Array, Array]:
     """Capsule segments along a path (N, n), rad: (N, C, 3) each, m."""
     starts, ends = shape_segments(arm, path)
-    return starts[:, 1:], ends[:, 1:]
+    return starts[:, moving(arm)], ends[:, moving(arm)]
 
 
 def swivelled_segments(arm: Arm, q: Array, angles: Array) -> tuple[Array, Array]:

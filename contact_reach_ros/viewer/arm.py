@@ -9,7 +9,7 @@ import trimesh
 import viser
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm import Arm, Array, link_frames
+from contact_reach_ros.arm import Arm, Array, Capsule, link_frames
 from contact_reach_ros.palette import ORANGE, VERMILION, as_bytes
 
 _BODY, _COVER, _DARK = "#DBDEE0", "#F2731A", "#383B40"
@@ -31,12 +31,8 @@ class ArmView:
         self._scene = server.scene
         self._frames = [server.scene.add_frame(f"/arm/{link}", show_axes=False) for link in range(arm.n + 1)]
         self._tinted: list[list[Any]] = [[] for _ in arm.joints]
-        base = arm.base_capsule
-        ground, top = np.zeros(3), np.array(base.end)
-        column = [self._add(0, "column", _cylinder(ground, top, base.radius), _BODY)]
-        column.append(self._add(0, "top", _ball(top, base.radius), _BODY))
-        self._add(0, "plate", _cylinder(ground, np.array([0.0, 0.0, _PLATE]), 1.15 * base.radius), _DARK)
-        thickness = base.radius
+        base = [self._add_fixed(number, capsule) for number, capsule in enumerate(arm.base_capsules)]
+        thickness = max((capsule.radius for capsule in arm.base_capsules[-1:]), default=0.0)
         for number, capsule in enumerate(arm.capsules):
             start, end = np.array(capsule.start, float), np.array(capsule.end, float)
             colour = _DARK if capsule.link == arm.n else _BODY
@@ -49,7 +45,7 @@ class ArmView:
                 self._add(capsule.link, "cover", _cylinder(-half, half, _COVER_RADIUS * capsule.radius), _COVER)
             thickness = capsule.radius
         if not self._tinted[0]:
-            self._tinted[0] = column
+            self._tinted[0] = base[-1:]
 
     def move(self, q: Array) -> None:
         """Show the links at joint angles `q` (n,), rad."""
@@ -62,6 +58,17 @@ class ArmView:
         for share, handles in zip(shares.tolist(), self._tinted, strict=True):
             for handle in handles:
                 handle.color = share_colour(share)
+
+    def _add_fixed(self, number: int, capsule: Capsule) -> Any:
+        """Add a capsule that does not move; on a plate without its lower end if that reaches through the ground."""
+        start, end = np.array(capsule.start, float), np.array(capsule.end, float)
+        if not np.array_equal(start[:2], end[:2]) or not 0.0 <= min(start[2], end[2]) <= capsule.radius:
+            return self._add(0, f"fixed{number}", _capsule(start, end, capsule.radius), _BODY)
+        ground, top = np.array([*start[:2], 0.0]), np.array([*start[:2], max(start[2], end[2])])
+        plate = ground + np.array([0.0, 0.0, _PLATE])
+        self._add(0, f"plate{number}", _cylinder(ground, plate, 1.15 * capsule.radius), _DARK)
+        self._add(0, f"top{number}", _ball(top, capsule.radius), _BODY)
+        return self._add(0, f"fixed{number}", _cylinder(ground, top, capsule.radius), _BODY)
 
     def _add(self, link: int, name: str, mesh: trimesh.Trimesh, colour: str) -> Any:
         return self._scene.add_mesh_simple(f"/arm/{link}/{name}", mesh.vertices, mesh.faces, color=as_bytes(colour))

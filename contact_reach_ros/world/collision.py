@@ -8,6 +8,7 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array, tip_turn
 from contact_reach_ros.arm.capsules import (
+    moving,
     pair_distances,
     segment_distances,
     self_pairs,
@@ -52,10 +53,10 @@ def nearest(arm: Arm, q: Array, environment: Environment) -> list[Nearest]:
     names = [(shape_name(arm, second), shape_name(arm, first)) for first, second in pairs]
     starts, ends = shape_segments(arm, q)
     # The base does not move: the bodies that it stands on or beside are no concern of it.
-    moving, radii = slice(1, None), shape_radii(arm)[1:]
+    links = moving(arm)
     for body in environment:
-        columns.append(body_distances(body, starts[:, moving], ends[:, moving]) - radii)
-        names += [(shape_name(arm, shape), f"the {body.name}") for shape in range(1, len(shapes(arm)))]
+        columns.append(body_distances(body, starts[:, links], ends[:, links]) - shape_radii(arm)[links])
+        names += [(shape_name(arm, shape), f"the {body.name}") for shape in range(links.start, len(shapes(arm)))]
     if not columns:
         return []
     distances = np.concatenate(columns, axis=1)
@@ -85,9 +86,8 @@ def body_distances(body: RigidBody, starts: Array, ends: Array) -> Array:
 
 def capsule_segments(arm: Arm, q: Array) -> tuple[Array, Array]:
     """Start and end points of the moving links' capsules at `q` (n,), rad, in the base frame, (C, 3) each, m."""
-    # The base is the first of the shapes.
     starts, ends = shape_segments(arm, q[None])
-    return starts[0, 1:], ends[0, 1:]
+    return starts[0, moving(arm)], ends[0, moving(arm)]
 
 
 def overlap_depths(arm: Arm, starts: Array, ends: Array, centers: Array, radius: float | Array) -> Array:
@@ -100,7 +100,7 @@ def overlap_depths(arm: Arm, starts: Array, ends: Array, centers: Array, radius:
     offset = centers - starts[..., None, :]
     share = np.clip(np.sum(offset * axis, axis=-1) / np.sum(axis * axis, axis=-1), 0.0, 1.0)
     distance = np.linalg.norm(offset - share[..., None] * axis, axis=-1)
-    # The base is the first of the shapes.
+    # The moving links' capsules are the last of the shapes.
     return shape_radii(arm)[-starts.shape[-2] :, None] + radius - distance
 
 
@@ -142,11 +142,16 @@ def check_hand(arm: Arm, goal: Target, environment: Environment) -> None:
         With the body, how deep the hand would be in it and how far to move the goal.
     """
     starts, ends, radii = _hand(arm, goal)
-    base = arm.base_capsule
-    foot = np.array([base.start] * len(radii), float), np.array([base.end] * len(radii), float)
-    distances = [(segment_distances((starts, ends), foot) - radii - base.radius).min()]
+    distances, names = [], []
+    for shape, fixed in enumerate(arm.base_capsules):
+        ends_of_it = np.array([[fixed.start, fixed.end]] * len(radii), float)
+        apart = segment_distances((starts, ends), (ends_of_it[:, 0], ends_of_it[:, 1]))
+        distances.append((apart - radii - fixed.radius).min())
+        names.append(shape_name(arm, shape))
     distances += [(body_distances(body, starts, ends) - radii).min() for body in environment]
-    names = [arm.base_frame, *(f"the {body.name}" for body in environment)]
+    names += [f"the {body.name}" for body in environment]
+    if not distances:
+        return
     index = int(np.argmin(distances))
     distance = float(distances[index])
     if distance < GOAL_CLEARANCE:

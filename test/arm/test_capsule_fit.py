@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.capsule_fit import Fit, fit_capsule
+from contact_reach_ros.arm.capsule_fit import POOR, Fit, cover, fit_capsule
 
 RIM = 24
 
@@ -53,7 +53,52 @@ def test_the_capsule_holds_the_shape_and_is_small(points, radius, length):
     assert volume <= 1.01 * (math.pi * wide**2 * (straight + 4.0 / 3.0 * wide)).min()
 
 
-def test_of_flat_shapes_there_is_no_volume_to_compare():
+def random_balls(random: np.random.Generator) -> np.ndarray:
+    """Balls of few different radii, some of them none, each of them nearly the same a second time."""
+    count = random.integers(1, 9)
+    balls = np.column_stack([random.uniform(-0.2, 0.2, (count, 3)), random.choice([0.0, 0.03, 0.1, 0.1 + 1e-9], count)])
+    return np.concatenate([balls, balls + random.uniform(-1e-9, 1e-9, balls.shape) * [1, 1, 1, 0]])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_balls_that_are_nearly_equal_are_all_inside(seed):
+    balls = random_balls(np.random.default_rng(seed))
+    assert depths(fit_capsule(balls), balls).min() >= -2e-5
+    around = fit_capsule(balls, on_axis=True)
+    assert depths(around, balls).min() >= -2e-5
+    assert not any((*around.start[:2], *around.end[:2]))
+
+
+def test_a_sphere_and_a_capsule_stay_what_they_are_beside_smaller_things():
+    ball, small = [0.1, 0.2, 0.3, 0.08], [0.1, 0.2, 0.32, 0.05]
+    sphere = fit_capsule(np.array([ball, small, ball]))
+    assert sphere.radius == pytest.approx(0.08, abs=1e-6) and sphere.volume_ratio < 1.05
+    turned = moved(cylinder(0.07, 0.4))
+    ends = turned.reshape(2, RIM, 4).mean(axis=1) + np.array([0.0, 0.0, 0.0, 0.07])
+    capsule = fit_capsule(np.concatenate([ends, turned]))
+    assert capsule.radius == pytest.approx(0.07, abs=1e-6)
+    assert np.linalg.norm(capsule.end - capsule.start) == pytest.approx(0.4, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "most"),
+    [
+        (box(1.5, 1.0, 0.05), POOR),
+        (box(0.8, 0.6, 0.3), POOR),
+        (box(0.5, 0.5, 0.5), 2.8),
+        (box(4.0, 4.0, 0.1), math.inf),
+    ],
+    ids=["table", "platform", "cube", "floor"],
+)
+def test_slices_of_a_plate_are_all_inside_its_capsules(shape, most):
+    fits = cover(moved(shape))
+    points = moved(np.random.default_rng(0).uniform(-1.0, 1.0, (2000, 3)) * shape.max(axis=0))
+    assert np.max([depths(fit, points) for fit in fits], axis=0).min() >= -1e-9
+    assert max(fit.volume_ratio for fit in fits) < most
+    assert sum(fit.volume for fit in fits) <= fit_capsule(moved(shape)).volume
+
+
+def test_of_flat_shapes_no_capsule_is_a_good_fit():
     flat = box(0.1, 0.2, 0.0)
     fit = fit_capsule(moved(flat))
-    assert math.isnan(fit.volume_ratio) and depths(fit, moved(flat)).min() >= -1e-9
+    assert math.isinf(fit.volume_ratio) and depths(fit, moved(flat)).min() >= -1e-9

@@ -336,8 +336,9 @@ def test_capsules_can_be_given_in_the_frames_of_the_urdf(tmp_path):
     given = GivenCapsule((0.0, 0.0, 0.0), (0.0, 0.1, 0.0), 0.03)
     options = dataclasses.replace(ODD, capsules={"part_2": (given,), "part_3": ()})
     capsules = read_arm(written(tmp_path, odd_arm()), options).arm.capsules
-    assert [capsule.link for capsule in capsules] == [1, 2, 4, 5, 6, 7]
-    assert capsules[1].end == pytest.approx((0.0, 0.0, 0.1)) and capsules[1].radius == 0.03
+    # The first link is a ball on its joint's axis, which belongs to the base.
+    assert [capsule.link for capsule in capsules] == [2, 4, 5, 6, 7]
+    assert capsules[0].end == pytest.approx((0.0, 0.0, 0.1)) and capsules[0].radius == 0.03
 
 
 @pytest.mark.parametrize(

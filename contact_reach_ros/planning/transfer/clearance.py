@@ -105,13 +105,12 @@ def _between_capsules(arm: ArmModel, start: jax.Array, axis: jax.Array) -> list[
     def fixed(values: np.ndarray) -> jax.Array:
         return jnp.broadcast_to(values.astype(start.dtype).reshape(3, *[1] * (start.ndim - 1)), shape)
 
-    # The base, which does not move, has index 0 among the pairs.
-    starts = [fixed(arm.base_start), *jnp.split(start, start.shape[-2], axis=-2)]
-    axes = [fixed(arm.base_axis), *jnp.split(axis, axis.shape[-2], axis=-2)]
+    starts = [*map(fixed, arm.base_start), *jnp.split(start, start.shape[-2], axis=-2)]
+    axes = [*map(fixed, arm.base_axis), *jnp.split(axis, axis.shape[-2], axis=-2)]
     sides = [
         jnp.concatenate([parts[pair[side]] for pair in pairs], axis=-2) for side in range(2) for parts in (starts, axes)
     ]
-    radii = np.array([arm.base_radius, *arm.capsule_radius])
+    radii = np.array([*arm.base_radius, *arm.capsule_radius])
     reach = np.array([radii[first] + radii[second] for first, second in pairs])
     return [_between(*sides) - reach[:, None]]
 

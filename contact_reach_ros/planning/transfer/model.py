@@ -74,13 +74,13 @@ class ArmModel:
     end_mass: Array
     """(2, C) mass that moves with start and end of each capsule, kg: one in ten motions about home moves less."""
     base_start: Array
-    """(3,) of the capsule that does not move, m."""
+    """(F, 3) of the capsules that do not move, m."""
     base_axis: Array
-    """(3,) from there to its end, m."""
-    base_radius: float
-    """m."""
+    """(F, 3) from there to their ends, m."""
+    base_radius: Array
+    """(F,), m."""
     self_pairs: tuple[tuple[int, int], ...]
-    """Pairs of capsules that can touch each other; the base's has number 0, those of the links follow."""
+    """Pairs of capsules that can touch each other; those that do not move come first, those of the links follow."""
 
     @property
     def n(self) -> int:
@@ -123,10 +123,11 @@ def read_arm(arm: Arm, system: brax.System) -> ArmModel:
     to_link = [rotation_from_quaternion(quaternion) for quaternion in _double(inertia.transform.rot)]
     moments = _double(inertia.i)
     tensors = [rotation @ tensor @ rotation.T for rotation, tensor in zip(to_link, moments, strict=True)]
-    # The base's capsule comes first.
+    # The base's capsules come first.
     geoms = np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0))
-    bodies = model.geom_bodyid[geoms]
-    place = {body: number for number, body in enumerate(dict.fromkeys(bodies[1:].tolist()))}
+    fixed = len(arm.base_capsules)
+    bodies, radius = model.geom_bodyid[geoms[fixed:]], np.array(model.geom_size[geoms, 0])
+    place = {body: number for number, body in enumerate(dict.fromkeys(bodies.tolist()))}
     # MuJoCo lets the z axis point from the second end to the first.
     half = [rotation_from_quaternion(model.geom_quat[geom])[:, 2] * model.geom_size[geom, 1] for geom in geoms]
     start, end = _exact(model.geom_pos[geoms] + half), _exact(model.geom_pos[geoms] - half)
@@ -144,15 +145,15 @@ def read_arm(arm: Arm, system: brax.System) -> ArmModel:
         upper=_double(system.dof.limit[1]),
         velocity_limit=arm.velocity_limits,
         contact_links=tuple(model.body(body).name for body in place),
-        capsule_link=bodies[1:] - 1,
-        capsule_place=np.array([place[body] for body in bodies[1:].tolist()]),
-        capsule_start=start[1:],
-        capsule_axis=axis[1:],
-        capsule_radius=np.array(model.geom_size[geoms[1:], 0]),
-        end_mass=np.array([_moving_mass(arm, bodies[1:] - 1, points) for points in (start[1:], end[1:])]),
-        base_start=start[0],
-        base_axis=axis[0],
-        base_radius=float(model.geom_size[geoms[0], 0]),
+        capsule_link=bodies - 1,
+        capsule_place=np.array([place[body] for body in bodies.tolist()]),
+        capsule_start=start[fixed:],
+        capsule_axis=axis[fixed:],
+        capsule_radius=radius[fixed:],
+        end_mass=np.array([_moving_mass(arm, bodies - 1, points) for points in (start[fixed:], end[fixed:])]),
+        base_start=start[:fixed],
+        base_axis=axis[:fixed],
+        base_radius=radius[:fixed],
         self_pairs=self_pairs(arm),
     )
 
