@@ -273,8 +273,8 @@ def test_a_table_leaves_room_above_it(tmp_path):
 
 
 def test_pairs_that_overlap_at_home_are_named(tmp_path, capsys):
-    # The elbow is bent so far that the hand is inside of the base.
-    home = (0.0, 0.4, 2.4, 0.0, 0.9, 0.0)
+    # The elbow is bent so far that the hand is in the platform.
+    home = (0.0, 0.9, 2.4, 0.0, 0.0, 0.0)
     arm = read(tmp_path, MOUNTED["above the base"][0], base="base", home=home).arm
     dropped = named(arm, overlapping_pairs(arm))
     assert dropped and not dropped & named(arm, self_pairs(arm))
