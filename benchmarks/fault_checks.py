@@ -12,10 +12,10 @@ from benchmarks.episode_result import EpisodeResult
 from benchmarks.faulty_robot import Fault, Push, RivalCommands
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.control.constants import torque_rates
+from contact_reach_ros.control.controller import HELD_AFTER
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.control.supervisor import STOP_TIME
 from contact_reach_ros.simulation.plant import TICK
-from contact_reach_ros.timing import PAUSE
 
 LASTING_FORCE = 140.0
 """Largest contact force that may last, N: what ISO/TS 15066 permits on hands, and the largest that a contact budget
@@ -77,12 +77,13 @@ def speed_share(result: EpisodeResult, arm: Arm) -> float:
 def bounds_used(result: EpisodeResult, limits: LimitSettings, arm: Arm, faults: Sequence[Fault]) -> dict[str, float]:
     """How much of each bound an episode came to use, as a share that is at most 1; infinite where it is not finite.
 
-    Only what was sent counts as torque, and a change of it only from one command to the next: after a pause the
-    controller starts again. Where others move the arm, its speed counts for nothing.
+    Only what was sent counts as torque, and a change of it only from one command to the next: after 20 ms without one
+    the drive holds the arm by itself, and the controller begins anew from the torque that does. Where others move the
+    arm, its speed counts for nothing.
     """
     is_moved = any(isinstance(fault, MOVED_BY_OTHERS) for fault in faults)
     forces, torques = result.contact_forces, result.commands
-    changes = np.abs(np.diff(torques, axis=0))[np.diff(result.command_times) <= PAUSE]
+    changes = np.abs(np.diff(torques, axis=0))[np.diff(result.command_times) <= HELD_AFTER]
     rates = torque_rates(arm, limits) * result.period
     window = round(TRANSIENT_TIME / TICK) + 1
     used = {

@@ -58,11 +58,13 @@ class TestChecks:
 
     def test_rates_count_from_command_to_command_but_not_over_a_pause(self):
         step = 4.0 * ARM.torque_limits / ARM.torque_limits.max()
-        torques, times = np.outer([0, 1, 2, 3], step), np.array([0.0, 0.001, 0.050, 0.051])
+        torques, times = np.outer([0, 1, 2, 3], step), np.array([0.0, 0.001, 0.019, 0.020])
         assert not self.violated(commands=torques, command_times=times)
         torques[2:] += 0.5 * step
         assert self.violated(commands=torques, command_times=times) == ["torque rate: 1.50 times what is permitted"]
         assert not self.violated(commands=torques, command_times=times, period=0.002)
+        # The drive holds the arm meanwhile.
+        assert not self.violated(commands=torques, command_times=times + np.array([0.0, 0.0, 0.010, 0.010]))
 
     @pytest.mark.parametrize(
         ("force", "ticks", "is_wrong"),
