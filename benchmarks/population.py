@@ -54,9 +54,7 @@ def bench_population(
         for population in candidates:
             row = _timed(dataclasses.replace(settings, population=population, max_steps=STEPS), found)
             rows.append({"scene": scene, "candidates": population, **row})
-            say(
-                f"{scene}, {population} candidates: ready in {row['ready_s']:.0f} s, a step takes {row['step_ms']:.2f} ms"
-            )
+            say(f"{scene}, {population} candidates: ready in {row['ready_s']:.0f} s, {row['step_ms']:.2f} ms a step")
     # Not before: the first planner configures the backend.
     device = jax.devices()[0].device_kind
     header = ["scene", "candidates", "step, ms", "candidates a second", f"decrease in {STEPS} steps"]
