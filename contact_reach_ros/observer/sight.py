@@ -129,7 +129,7 @@ class Sight:
     def repeated(self) -> bool:
         """Take a state whose stamp is not new; returns whether the stamps have stopped."""
         self._repeated += 1
-        # The first state may come again and again, until everybody has received it.
+        # In bags of earlier versions the first state comes again and again.
         if self._repeated < STILL or not self._has_advanced:
             return False
         self._lose("the stamps of joint_states do not advance: look at the driver's clock")

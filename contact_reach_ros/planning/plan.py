@@ -10,10 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
-from scipy.spatial.transform import Rotation
-
 from contact_reach_ros.arm import Array
-from contact_reach_ros.control.references import Reference, References
+from contact_reach_ros.control.references import Reference, References, Way
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 
@@ -78,7 +76,7 @@ class ReferenceTrajectory:
             return target
         # Where the knot before it ended.
         start: Any = self.before if knot == 0 else self.in_force(self.effect_ns + knot * self.knot_duration_ns)
-        return _between(start, target, elapsed / self.ramp_s)
+        return Way(start, target).at(elapsed / self.ramp_s)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -114,16 +112,6 @@ class Plan(ReferenceTrajectory):
             "cost": self.cost,
             **{f"cost {name}": value for name, value in self.cost_terms.items()},
         }
-
-
-def _between(start: Reference, end: Reference, share: float) -> Reference:
-    """As `references.Way`, which the controller follows."""
-    turn = Rotation.from_matrix(end.rotation @ start.rotation.T).as_rotvec()
-    return Reference(
-        position=start.position + share * (end.position - start.position),
-        rotation=Rotation.from_rotvec(share * turn).as_matrix() @ start.rotation,
-        posture=start.posture + share * (end.posture - start.posture),
-    )
 
 
 class Request(NamedTuple):

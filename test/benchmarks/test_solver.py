@@ -8,6 +8,7 @@ from contact_reach_command import bench
 
 from benchmarks import pictures
 from benchmarks.baselines.solvers import SOLVERS
+from benchmarks.population import bench_population
 from benchmarks.solver import LABELS, bench_solver, excess
 from benchmarks.solver_steps import PRESETS, bench_solver_steps
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -44,3 +45,11 @@ def test_ten_steps_of_every_solver_lower_the_cost(capsys):
             assert 0.0 < low <= entry["mean"] <= high
         assert found[configuration]["hybrid"]["share"]["mean"] == 1.0
     assert capsys.readouterr().out.count("| free |") == len(PRESETS) * len(SOLVERS)
+
+
+@pytest.mark.slow
+def test_steps_are_timed_for_each_number_of_candidates(capsys):
+    report = bench_population(["free"], [16, 64], 2, settings=SMALL)
+    assert [row["candidates"] for row in report["rows"]] == [16, 64]
+    assert all(row["decrease"] > 0.0 for row in report["rows"])
+    assert report["device"] in capsys.readouterr().out
