@@ -18,12 +18,14 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import assumptions
-from contact_reach_ros.arm.arm import Arm, Inertia, Joint
+from contact_reach_ros.arm.arm import Arm, Inertia, Joint, Vector3
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsule_fit import Fit, frame_about
+from contact_reach_ros.arm.kinematics import rotation_about
 from contact_reach_ros.arm.link_capsules import Part, link_capsules, vector
 from contact_reach_ros.arm.mjcf import numbers
-from contact_reach_ros.arm.table import ArmOptions, arm_of_table, check_lengths, converted
+from contact_reach_ros.arm.mount import gravity_of, in_words
+from contact_reach_ros.arm.table import ArmOptions, arm_of_table, check_lengths, converted, gravity_in
 from contact_reach_ros.arm.urdf_tree import LIMITS, TENSOR, TURNING, UrdfJoint, UrdfTree, read_urdf
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import read_yaml
@@ -111,7 +113,10 @@ class _Reader:
             reach=0.0,
             home=tuple(0.5 * (joint.lower + joint.upper) for joint in joints),
             defaults={},
+            gravity=gravity_in(options, str(self.file)) or self._gravity(base),
         )
+        if options.mount is None:
+            self.assumed.append(f"mount: {tree.root} stands upright: {in_words(arm)}")
         return Reading(self._completed(arm), found.fits, self.assumed)
 
     def _completed(self, arm: Arm) -> Arm:
@@ -152,6 +157,16 @@ class _Reader:
             f"{self.file}: {len(ends)} links end a chain of joints: {', '.join(ends)}; expected the one that is to "
             "reach the goals under tip"
         )
+
+    def _gravity(self, base: str) -> Vector3:
+        """Gravity in the base frame, m/s², where the root's z axis points up."""
+        turn = np.eye(3)
+        for joint in self.tree.chain(self.tree.root, base) or []:
+            turn = turn @ pin.rpy.rpyToMatrix(_numbers(joint.element, "origin", "rpy", "0 0 0"))
+            if joint.kind in TURNING:
+                axis = _numbers(joint.element, "axis", "xyz", "1 0 0")
+                turn = turn @ rotation_about(axis / np.linalg.norm(axis), self._held_position(joint))
+        return gravity_of(turn)
 
     def _turns(self, base: str, tip: str) -> bool:
         """Whether any joint turns between two links."""
@@ -290,6 +305,11 @@ def _parts(model: pin.Model, base: str, moving: Sequence[UrdfJoint]) -> list[Par
             part = parts[frame.parentJoint]
             part.places[frame.name.removeprefix(_LINK)] = part.turn.actInv(frame.placement)
     return parts
+
+
+def _numbers(element: Element, tag: str, key: str, default: str) -> Array:
+    found = element.find(tag)
+    return np.array((default if found is None else found.get(key, default)).split(), float)
 
 
 def _quaternion(rotation: Array) -> tuple[float, float, float, float]:

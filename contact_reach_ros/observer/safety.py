@@ -9,6 +9,7 @@ import numpy as np
 
 from contact_reach_ros.arm import Array, check_rest
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.mount import in_words
 from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.observer.baseline import Baseline
 from contact_reach_ros.observer.budget import ContactBudget
@@ -78,6 +79,7 @@ class SafetyMonitor:
         budget = budget.resolve(arm)
         self.settings = settings
         self._names = arm.joint_names
+        self._weight = f"something pushes it, or the model has a wrong weight; it assumes {in_words(arm)}"
         self._debounce = states_in(settings.debounce, period)
         self._contact_debounce = states_in(settings.contact_debounce, period)
         self._handover_debounce = states_in(HANDOVER_DEBOUNCE, period)
@@ -154,7 +156,8 @@ class SafetyMonitor:
             threshold += more
             if not -threshold <= torque <= threshold:
                 above = True
-        if known_for < HANDOVER_TIME:
+        handed_over = known_for < HANDOVER_TIME
+        if handed_over:
             self._hand_over(residual)
             self._baseline.hand_over(residual, q)
             # Until the baseline is known, nothing can be called sudden.
@@ -164,7 +167,8 @@ class SafetyMonitor:
             self._baseline.follow(torques, q, self.in_contact)
         self._above = self._above + 1 if above else 0
         if self._above >= self._debounce:
-            self.stop(self._explain(residual, v))
+            reason = self._explain(residual, v)
+            self.stop(StopReason(reason.code, f"at hand-over {reason}: {self._weight}") if handed_over else reason)
         self._debounce_contact(touched)
 
     def stop(self, reason: str) -> None:
@@ -228,7 +232,7 @@ class SafetyMonitor:
             # A compliant stop would let the arm sink: this model would have to carry it.
             text = (
                 f"at hand-over the external torque on {self._names[joint]} is {residual[joint]:.1f} Nm, "
-                f"permitted {self._handover_limits[joint]:g} Nm: something pushes it, or the model has a wrong weight"
+                f"permitted {self._handover_limits[joint]:g} Nm: {self._weight}"
             )
             self.stop_distrusting(StopReason(StopCode.MODEL, text))
 
@@ -240,7 +244,7 @@ class SafetyMonitor:
     def _beyond_absolute(self, residual: Array, v: Array) -> bool:
         return not (np.abs(residual) <= self._thresholds(v)[0]).all()
 
-    def _explain(self, residual: Array, v: Array) -> str:
+    def _explain(self, residual: Array, v: Array) -> StopReason:
         thresholds, sudden_thresholds = self._thresholds(v)
         if self._beyond_absolute(residual, v):
             code, kind, torques, limits = StopCode.EXTERNAL_TORQUE, "external", residual, thresholds
