@@ -179,13 +179,11 @@ def test_a_heavy_arm_has_the_scenes_of_a_light_one():
 
 def test_why_no_target_was_found_is_said_with_the_joint():
     file, wrist = read_scene("free"), ARM.joints[5]
-    joints = (*ARM.joints[:5], dataclasses.replace(wrist, lower=0.5, upper=1.1), ARM.joints[6])
-    with pytest.raises(
-        SceneError, match=r"\d+ times on the straight line to it joint 'lbr_A6' comes within 0.2 rad of "
-    ):
+    joints = (*ARM.joints[:5], dataclasses.replace(wrist, lower=0.55, upper=1.0), ARM.joints[6])
+    with pytest.raises(SceneError, match=r"\d+ times joint 'lbr_A6' comes within 0.2 rad of its l"):
         make_scene(file, dataclasses.replace(ARM, joints=joints), 0)
     stretched = dataclasses.replace(ARM, home=(0.0, 0.3, 0.0, 0.0, 0.0, 0.5, 0.0))
-    with pytest.raises(SceneError, match=r"\d+ times on the straight line to it the arm comes near a singularity"):
+    with pytest.raises(SceneError, match=r"\d+ times the arm starts near a singularity: its m"):
         make_scene(file, stretched, 0)
     five = dataclasses.replace(
         ARM,
@@ -195,5 +193,7 @@ def test_why_no_target_was_found_is_said_with_the_joint():
         capsules=ARM.capsules[:4],
         inertia_sets={"nominal": ARM.inertias()[:5]},
     )
-    with pytest.raises(SceneError, match=r"to it 5 joints cannot hold the tip's orientation; expected .* at least 6"):
+    with pytest.raises(
+        SceneError, match=r"\d+ times 5 joints cannot hold the tip's orientation; expected .* at least 6"
+    ):
         make_scene(file, five, 0)
