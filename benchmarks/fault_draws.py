@@ -13,6 +13,7 @@ from benchmarks.episode import Silent, WrongPlans
 from benchmarks.faulty_robot import Fault
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.placing import free_path, path_segments
 from contact_reach_ros.world.collision import overlap_depths
 from contact_reach_ros.world.scene import Scene
@@ -96,15 +97,17 @@ def _push(random: Random, scene: Scene) -> Fault:
 def _obstacle(random: Random, scene: Scene) -> Fault:
     """Draw a place on the way of the hand, but not in the arm where it starts."""
     model = RobotModel(scene.arm)
-    path = free_path(model, scene.start, scene.target)
+    try:
+        path = free_path(model, scene.start, scene.target)
+    except SceneError:
+        return faults.Friction(2.0)
     starts, ends = path_segments(scene.arm, scene.start[None])
-    if path is not None:
-        for _ in range(50):
-            place, _ = model.tip_pose(path[int(random.uniform(0.3, 1.0) * (len(path) - 1))])
-            place = place + random.uniform(0.0, 0.08) * _direction(random)
-            if overlap_depths(scene.arm, starts, ends, place[None], _RADIUS).max() < -_CLEARANCE:
-                x, y, z = place.tolist()
-                return faults.UnknownObstacle((x, y, z), _RADIUS, _log(random, 500.0, 20000.0))
+    for _ in range(50):
+        place, _ = model.tip_pose(path[int(random.uniform(0.3, 1.0) * (len(path) - 1))])
+        place = place + random.uniform(0.0, 0.08) * _direction(random)
+        if overlap_depths(scene.arm, starts, ends, place[None], _RADIUS).max() < -_CLEARANCE:
+            x, y, z = place.tolist()
+            return faults.UnknownObstacle((x, y, z), _RADIUS, _log(random, 500.0, 20000.0))
     return faults.Friction(2.0)
 
 

@@ -32,11 +32,11 @@ class ScriptedPlanner:
 
     def __init__(self, scene: Scene) -> None:
         self.model = RobotModel(scene.arm)
-        path = free_path(self.model, scene.start, scene.target)
-        if path is None:
-            raise SceneError(f"scene {scene.name}, seed {scene.seed}: no free path to follow")
-        self.path = path
-        poses = [self.model.tip_pose(q) for q in path]
+        try:
+            self.path = free_path(self.model, scene.start, scene.target)
+        except SceneError as error:
+            raise SceneError(f"scene {scene.name}, seed {scene.seed}: no free path to follow, as {error}") from error
+        poses = [self.model.tip_pose(q) for q in self.path]
         self.positions = np.array([position for position, _ in poses])
         self.rotations = np.array([rotation for _, rotation in poses])
         self.number = 0

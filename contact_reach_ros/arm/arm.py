@@ -28,6 +28,9 @@ Quaternion = tuple[float, float, float, float]
 PARALLEL: Quaternion = (1.0, 0.0, 0.0, 0.0)
 """Rotation (w, x, y, z) of a frame whose axes are those of the frame that it is in."""
 
+STANDING: Vector3 = (0.0, 0.0, -9.81)
+"""Gravity in the axes of a base that stands upright, m/s²."""
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -103,6 +106,8 @@ class Arm:
         Per-joint values of the settings that depend on the arm, by the name of the setting; others are zero.
     tip_rotation
         Rotation (w, x, y, z) of the tip frame in the frame of the last link, not necessarily normalised.
+    gravity
+        Acceleration of gravity in the base frame, m/s²; along -z unless the base is tilted.
     bare
         The same arm without its tool; None if it has none.
     """
@@ -121,6 +126,7 @@ class Arm:
     home: tuple[float, ...]
     defaults: Mapping[str, tuple[float, ...]]
     tip_rotation: Quaternion = PARALLEL
+    gravity: Vector3 = STANDING
     bare: Arm | None = None
 
     @cached_property
@@ -171,6 +177,8 @@ class Arm:
         if self.tip_rotation == PARALLEL:
             # Bags from before there was a rotation have the same digest.
             del values["tip_rotation"]
+        if self.gravity == STANDING:
+            del values["gravity"]
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:16]
 
     def inertias(self, inertia_set: str = "nominal") -> tuple[Inertia, ...]:

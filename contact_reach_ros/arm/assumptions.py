@@ -7,6 +7,7 @@ import numpy as np
 from contact_reach_ros.arm.arm import Arm, Vector3
 from contact_reach_ros.arm.capsules import pair_distances, touching_pairs
 from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many, tip_positions
+from contact_reach_ros.arm.mount import standing, stands
 
 REACH_SHARE = 0.9
 """Of the greatest distance of the tip from the shoulder, up to which goals are accepted."""
@@ -64,12 +65,14 @@ def reach(arm: Arm) -> float:
 def home(arm: Arm) -> tuple[float, ...]:
     """A posture far from singularities, tip in front, last joint's axis down, all links above the base, elbow up.
 
-    Each of these counts, none is required; first of all, as few capsules as possible overlap.
+    Up and front are those of the arm's scene frame, which the links of an arm that hangs or reaches out of a wall are
+    above, too. Each of these counts, none is required; first of all, as few capsules as possible overlap.
     """
     margin = np.minimum(_HOME_MARGIN, 0.2 * (arm.upper - arm.lower))
     middle = 0.5 * (arm.lower + arm.upper)
     lower, upper = np.maximum(arm.lower + margin, middle - np.pi), np.minimum(arm.upper - margin, middle + np.pi)
     q = np.random.default_rng(0).uniform(lower, upper, (_POSTURES, arm.n))
+    mount, arm = arm, standing(arm)
     axes, origins = link_frames_of_many(arm, q)
     tip, out = origins[-1].T, (origins[-1].T - np.array(arm.shoulder)) / arm.reach
     ahead = np.hypot(tip[:, 0], tip[:, 1]) / arm.reach
@@ -77,7 +80,10 @@ def home(arm: Arm) -> tuple[float, ...]:
     down = -axes[-2, 2, 2] if arm.tip_offset[2] >= 0.0 else axes[-2, 2, 2]
     wrong += np.arccos(np.clip(down, -1.0, 1.0)) + 0.5 * np.abs(q - middle).mean(axis=1)
     wrong -= 2.0 * np.minimum(origins[1:-1, 2].mean(axis=0) / arm.reach, 0.5)
-    wrong += 10.0 * np.maximum(0.15 - origins[1:, 2].min(axis=0) / arm.reach, 0.0)
+    lowest = origins[1:, 2].min(axis=0)
+    if not stands(mount):
+        lowest = np.minimum(lowest, link_frames_of_many(mount, q)[1][1:, 2].min(axis=0))
+    wrong += 10.0 * np.maximum(0.15 - lowest / arm.reach, 0.0)
     few = wrong.argsort()[: _POSTURES // 200]
     joint_axes = axes[:-1, 2][:, :, few]
     linear = np.cross(joint_axes, origins[-1][:, few] - origins[:-1][:, :, few], axis=1) / arm.reach

@@ -72,7 +72,7 @@ def build_mjcf(
     root = Element("mujoco", model=arm.name)
     SubElement(root, "compiler", angle="radian", autolimits="true")
     # Brax reads only models with the Euler integrator; the plant sets step and integrator itself.
-    SubElement(root, "option", timestep="0.001", integrator="Euler")
+    SubElement(root, "option", timestep="0.001", integrator="Euler", gravity=numbers(arm.gravity))
     world = SubElement(root, "worldbody")
     body = SubElement(world, "body", name=arm.base_frame if arm.base_frame != _WORLD else f"{_WORLD}_base")
     for index, capsule in enumerate(arm.base_capsules):

@@ -55,6 +55,8 @@ class RobotModel:
             file = Path(folder) / "arm.xml"
             file.write_text(build_mjcf(arm, inertia_set))
             self.pinocchio: pin.Model = pin.buildModelFromMJCF(str(file))
+        # Pinocchio reads no gravity in MJCF.
+        self.pinocchio.gravity.linear = np.array(arm.gravity)
         self.data: pin.Data = self.pinocchio.createData()
         self.tip: int = self.pinocchio.getFrameId(arm.tip_frame, pin.FrameType.BODY)
         self._no_acceleration = np.zeros(arm.n)

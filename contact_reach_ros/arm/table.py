@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -13,12 +14,18 @@ import yaml
 
 from contact_reach_ros.arm import assumptions
 from contact_reach_ros.arm.arm import Arm, Inertia, Vector3
+from contact_reach_ros.arm.mount import mounted
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import unknown_key
 
 _WIDTH = 100
 """Of lines in tables."""
 _ROUNDING = 1e-10
+
+MOUNT = "mount"
+_FULL_TURN = 6.3
+_WEAK, _STRONG = 0.1, 100.0
+"""Bounds of gravity, m/s²."""
 
 ARMATURE = 0.01
 """Reflected inertia of motor and gears unless it is given, kg m²."""
@@ -49,6 +56,9 @@ class ArmOptions:
     """Link that is to reach the goals; by default the only one without a joint below it."""
     home: tuple[float, ...] | None = None
     """Joint angles, rad; by default a posture in front of the arm that is far from singularities."""
+    mount: Vector3 | None = None
+    """Roll, pitch and yaw of the base in a world whose z axis points up, rad; by default as the root of the URDF has
+    it, whose z axis is taken to point up."""
     fixed: Mapping[str, float] = field(default_factory=dict)
     """Positions at which joints are held, rad or m; joints outside the chain are held at 0, or at the nearest limit."""
     limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -72,6 +82,8 @@ class ArmOptions:
 def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
     """The arm of a table, whose keys are the attributes of `Arm`; thresholds that it lacks are by the rule.
 
+    In place of `gravity` it may have `mount`, as `ArmOptions` have it.
+
     Raises
     ------
     SettingsError
@@ -83,7 +95,16 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
         content = {key: value for key, value in content.items() if key != "base_capsule"} | {
             "base_capsules": [content["base_capsule"]]
         }
+    content = dict(content)
+    if MOUNT in content:
+        if "gravity" in content:
+            raise SettingsError(f"{source}: has {MOUNT} and gravity, which follows from it; expected one of them")
+        content["gravity"] = gravity_in(converted({MOUNT: content.pop(MOUNT)}, ArmOptions, source), source)
     arm = converted({"defaults": {}, **content}, Arm, source)
+    if not _WEAK < math.hypot(*arm.gravity) < _STRONG:
+        raise SettingsError(
+            f"{source}: gravity = {list(arm.gravity)}; expected its acceleration in the base frame, 9.81 m/s² in all"
+        )
     lists: dict[str, Any] = {"link_names": arm.link_names, "home": arm.home}
     lists |= {f"inertia_sets: {name}": values for name, values in arm.inertia_sets.items()}
     lists |= {f"defaults: {name}": values for name, values in arm.defaults.items()}
@@ -95,6 +116,24 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
         if capsule.link:
             raise SettingsError(f"{source}: base_capsules: link = {capsule.link}; expected 0, the base")
     return dataclasses.replace(arm, defaults={**assumptions.defaults(arm), **arm.defaults})
+
+
+def gravity_in(options: ArmOptions, source: str) -> Vector3 | None:
+    """Gravity in the base frame, m/s², as `mount` has it; None without.
+
+    Raises
+    ------
+    SettingsError
+        If the angles are no rotation in rad; the message begins with `source`.
+    """
+    if options.mount is None:
+        return None
+    if not all(abs(angle) <= _FULL_TURN for angle in options.mount):
+        raise SettingsError(
+            f"{source}: {MOUNT} = {list(options.mount)}; expected roll, pitch and yaw of the base in rad, each within "
+            f"±{_FULL_TURN:g}"
+        )
+    return mounted(options.mount)
 
 
 def check_lengths(lists: Mapping[str, Sequence[Any]], n: int, source: str) -> None:

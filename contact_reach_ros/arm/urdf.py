@@ -9,13 +9,18 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import pinocchio as pin
 
-from contact_reach_ros.arm.arm import Arm, Capsule
+from contact_reach_ros.arm.arm import Arm, Capsule, Vector3
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.kinematics import rotation_from_quaternion
 from contact_reach_ros.arm.mjcf import numbers
+from contact_reach_ros.arm.mount import scene_frame, tilt
 
 
 def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
     """Build the URDF text of an arm, with the same link frames as the MJCF.
+
+    Readers of URDFs let gravity act along -z of the root. That is the base, or for a tilted one a link without a shape
+    that the base is fixed to.
 
     Raises
     ------
@@ -23,6 +28,11 @@ def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
         If the inertia set is unknown.
     """
     robot = Element("robot", name=arm.name)
+    if tilt(arm):
+        root = f"{arm.base_frame}_upright"
+        SubElement(robot, "link", name=root)
+        upright = scene_frame(arm).rotation.T
+        _fix(robot, f"{arm.base_frame}_mount", root, arm.base_frame, (0.0, 0.0, 0.0), upright)
     base = SubElement(robot, "link", name=arm.base_frame)
     for capsule in arm.base_capsules:
         _add_capsule(base, capsule)
@@ -53,14 +63,19 @@ def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
         SubElement(element, "limit", limits)
         parent = name
     SubElement(robot, "link", name=arm.tip_frame)
-    mount = f"{arm.tip_frame}_joint"
-    flange = SubElement(robot, "joint", name=mount if mount not in arm.joint_names else f"{mount}_fixed", type="fixed")
     turn = rotation_from_quaternion(arm.tip_rotation)
-    SubElement(flange, "origin", xyz=numbers(arm.tip_offset), rpy=numbers(pin.rpy.matrixToRpy(turn)))
-    SubElement(flange, "parent", link=parent)
-    SubElement(flange, "child", link=arm.tip_frame)
+    name = f"{arm.tip_frame}_joint"
+    _fix(robot, name if name not in arm.joint_names else f"{name}_fixed", parent, arm.tip_frame, arm.tip_offset, turn)
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode")
+
+
+def _fix(robot: Element, name: str, parent: str, child: str, offset: Vector3, turn: Array) -> None:
+    """Add a joint that does not move, with the place of the child, m, and its rotation (3, 3) in the parent."""
+    joint = SubElement(robot, "joint", name=name, type="fixed")
+    SubElement(joint, "origin", xyz=numbers(offset), rpy=numbers(pin.rpy.matrixToRpy(turn)))
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=child)
 
 
 def _add_capsule(link: Element, capsule: Capsule) -> None:

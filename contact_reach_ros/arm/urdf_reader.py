@@ -25,9 +25,10 @@ from contact_reach_ros.arm.capsule_fit import Fit, frame_about
 from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
 from contact_reach_ros.arm.link_capsules import Part, link_capsules, placement, vector
 from contact_reach_ros.arm.mjcf import numbers
+from contact_reach_ros.arm.mount import gravity_of, in_words
 from contact_reach_ros.arm.plausibility import LEAST_EFFORT, Faults, check_inertia, check_weight, doubts
 from contact_reach_ros.arm.robot_file import DESCRIPTIONS, read_robot_file
-from contact_reach_ros.arm.table import ARMATURE, ArmOptions, arm_of_table, check_lengths, converted
+from contact_reach_ros.arm.table import ARMATURE, ArmOptions, arm_of_table, check_lengths, converted, gravity_in
 from contact_reach_ros.arm.urdf_tree import (
     LIMITS,
     TENSOR,
@@ -140,7 +141,10 @@ class _Reader:
             reach=0.0,
             home=tuple(0.5 * (joint.lower + joint.upper) for joint in joints),
             defaults={},
+            gravity=gravity_in(options, str(self.file)) or gravity_of(parts[0].turn.rotation),
         )
+        if options.mount is None:
+            self.assumed.append(f"mount: {tree.root} stands upright: {in_words(arm)}")
         arm = self._completed(arm)
         check_weight(self.faults, arm)
         self.faults.check()

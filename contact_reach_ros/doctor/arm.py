@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.mount import in_words
 from contact_reach_ros.doctor.findings import Finding, Verdict, failed, graded
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.timing import NANOSECONDS
@@ -137,7 +138,10 @@ def gravity(record: JointRecord, model: RobotModel, budget: ContactBudget) -> Fi
         f"measured minus model: {', '.join(f'{value:+.2f}' for value in residual)} Nm, {joints[0]} to {joints[-1]}; "
         f"largest at {joints[int(np.abs(residual).argmax())]}"
     )
-    fix = "give the model the payload and tool that the arm carries, calibrate the torque sensors, and look for contact"
+    fix = (
+        "give the model the payload and tool that the arm carries, and the arm's mount; calibrate the torque sensors, "
+        "and look for contact"
+    )
     without = np.abs(measured).max() < _SMALL_TORQUE < np.abs(expected).max()
     spent = (np.abs(residual) > _BAD_SHARE_OF_THRESHOLD * np.array(budget.torque_thresholds)).any()
     if without:
@@ -145,4 +149,5 @@ def gravity(record: JointRecord, model: RobotModel, budget: ContactBudget) -> Fi
         fix = "let the driver report torques with gravity, and see supervision.gravity_compensation of the controller"
     elif spent:
         found += ": more than half of the contact budget is gone"
+    found += f"; assumed: {in_words(model.arm)}"
     return graded(found, fix, fail=bool(without or spent), warn=bool(np.abs(residual).max() > _GOOD_RESIDUAL))

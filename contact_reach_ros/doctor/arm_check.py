@@ -11,6 +11,7 @@ from rich.table import Table
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.capsule_fit import POOR
 from contact_reach_ros.arm.capsules import overlapping_pairs, pair_distances, shape_name, shapes
+from contact_reach_ros.arm.mount import in_words
 from contact_reach_ros.arm.table import table_text
 from contact_reach_ros.arm.urdf_reader import Reading, read_arm_file
 from contact_reach_ros.arms import ENDINGS, load_arm
@@ -37,6 +38,7 @@ def check_arm(name: str, table: Path | None = None) -> None:
         f"arm '{arm.name}': {arm.n} joints from {arm.base_frame} to {arm.tip_frame}, reach {arm.reach:g} m around "
         f"{list(arm.shoulder)} m"
     )
+    console.print(in_words(arm), markup=False)
     console.print(_joints(arm))
     capsules = Table("capsule on", "radius m", "length m", "volume / hull")
     for number, capsule in enumerate(shapes(arm)):

@@ -27,9 +27,6 @@ HANDOVER_MEAN = 10
 
 _STEP = 0.01
 """Distance between two postures from which on the arm has moved, rad: far above the noise of encoders."""
-_WEIGHT = np.array([0.0, 0.0, -9.81 * PAYLOAD])
-_MOMENT = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) * _WEIGHT[2]
-"""c ↦ c × weight."""
 
 
 class Baseline:
@@ -63,6 +60,9 @@ class Baseline:
             Nominal time between states, s.
         """
         self._model = model
+        x, y, z = self._weight = PAYLOAD * np.array(model.arm.gravity)
+        self._moment = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+        """c ↦ c × weight."""
         self._limits = np.array(limits)
         self._friction = FRICTION_SHARE * np.array(contact_thresholds)
         self._follow, self._hand_over = 1.0 / states_in(MEAN_TIME, period), 1.0 / states_in(HANDOVER_MEAN, period)
@@ -114,4 +114,4 @@ class Baseline:
         model.update_dynamics(q)
         jacobian = model.jacobian_at(q)
         rotation = model.data.oMf[model.tip].rotation
-        return model.gravity.copy(), jacobian[:3].T @ _WEIGHT, jacobian[3:].T @ _MOMENT @ rotation
+        return model.gravity.copy(), jacobian[:3].T @ self._weight, jacobian[3:].T @ self._moment @ rotation

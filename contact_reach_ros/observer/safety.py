@@ -9,6 +9,7 @@ import numpy as np
 
 from contact_reach_ros.arm import Array, check_rest
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.mount import in_words
 from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.observer.baseline import Baseline
 from contact_reach_ros.observer.budget import ContactBudget
@@ -77,6 +78,7 @@ class SafetyMonitor:
         arm = model.arm
         budget = budget.resolve(arm)
         self._names = arm.joint_names
+        self._weight = f"something pushes it, or the model has a wrong weight; it assumes {in_words(arm)}"
         self._above = Debounce(settings.debounce, period)
         self._touched = Debounce(settings.contact_debounce, period)
         self._released = Debounce(RELEASE_DEBOUNCE, period)
@@ -147,7 +149,8 @@ class SafetyMonitor:
                 jumped = jumped or not -sudden_threshold <= sudden <= sudden_threshold
             threshold += more
             pushed = pushed or not -threshold <= torque <= threshold
-        if known_for < HANDOVER_TIME:
+        handed_over = known_for < HANDOVER_TIME
+        if handed_over:
             self._hand_over(residual)
             self._baseline.hand_over(residual, q)
             # Until the baseline is known, nothing can be called sudden.
@@ -156,7 +159,8 @@ class SafetyMonitor:
             self._overweight.lasts(False)
             self._baseline.follow(torques, q, self.in_contact)
         if self._above.lasts(pushed or jumped):
-            self.stop(self._explain(pushed, residual, v))
+            reason = self._explain(pushed, residual, v)
+            self.stop(StopReason(reason.code, f"at hand-over {reason}: {self._weight}") if handed_over else reason)
         if self._touched.lasts(touched) and not self.in_contact:
             self.in_contact = True
             self.contacts += 1
@@ -208,11 +212,11 @@ class SafetyMonitor:
             # A compliant stop would let the arm sink: this model would have to carry it.
             text = (
                 f"at hand-over the external torque on {self._names[joint]} is {residual[joint]:.1f} Nm, "
-                f"permitted {self._handover_limits[joint]:g} Nm: something pushes it, or the model has a wrong weight"
+                f"permitted {self._handover_limits[joint]:g} Nm: {self._weight}"
             )
             self.stop_distrusting(StopReason(StopCode.MODEL, text))
 
-    def _explain(self, pushed: bool, residual: Array, v: Array) -> str:
+    def _explain(self, pushed: bool, residual: Array, v: Array) -> StopReason:
         """Why the arm is stopped: the external torque itself, or else the sudden one, is above its threshold."""
         more = np.array(self.budget.torque_per_speed) * np.abs(v)
         if pushed:

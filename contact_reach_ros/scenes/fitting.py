@@ -13,6 +13,7 @@ from contact_reach_ros.arm import Arm, Array, link_frames, link_frames_of_many
 from contact_reach_ros.arm.capsules import moving, pair_distances, self_pairs, shape_radii, shape_segments
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.mount import standing
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.placing import capsule_links, free_path, on_hand, postures_at, target_clearance
 from contact_reach_ros.settings import Settings
@@ -44,13 +45,16 @@ S = TypeVar("S", bound=Settings)
 
 
 def fitted(file: SceneFile, arm: Arm) -> SceneFile:
-    """The scene for an arm: all of its lengths in proportion to the reach, except the places that it names.
+    """The scene for an arm, in its scene frame: all lengths but the places that it names in proportion to the reach.
 
-    A scene without `target.reach`, or for this very reach, stays as it is. Raises `SceneError` if no start was found
-    for the arm from which it gets to the targets.
+    A scene without `target.reach`, or for an arm of this very reach that stands on its base frame, stays as it is.
+    Raises `SceneError` if no start was found for the arm from which it gets to the targets.
     """
-    target = file.target
-    if target.reach in (0.0, arm.reach):
+    target, mount = file.target, arm
+    if target.reach == 0.0:
+        return file
+    arm = standing(mount)
+    if arm is mount and target.reach == arm.reach:
         return file
     factor = arm.reach / target.reach
     scaled = dataclasses.replace(_scaled(target, factor), reach=arm.reach, start=None)
@@ -115,7 +119,10 @@ def _start(arm: Arm, target: TargetSettings) -> TargetSettings | None:
         for start in _postures(arm, np.array(target.start_position) + up, seeds):
             missed = 0
             for probe in probes + up:
-                missed += free_path(model, start, probe) is None
+                try:
+                    free_path(model, start, probe)
+                except SceneError:
+                    missed += 1
                 if missed > _PROBES - _REACHED:
                     break
             else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike
 from contact_reach_ros.arm import Arm, Array, checked_array, link_frames
 from contact_reach_ros.arm.capsules import moving, shape_name, shape_segments
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.mount import SceneFrame, scene_frame, standing
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import ContactReachError, InputError, SceneError, SettingsError
 from contact_reach_ros.scenes.fitting import fitted
@@ -91,11 +93,29 @@ def make_scene(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None = 
     SettingsError
         If the start is not within the limits of the arm's joints, or the arm has no such inertia set.
     """
+    own, frame = standing(arm) if file.target.reach else arm, scene_frame(arm)
     try:
-        return _mismatched(_drawn(fitted(file, arm), arm, seed, target), file.mismatch)
+        made = fitted(file, arm)
+        if own is arm:
+            return _mismatched(_drawn(made, arm, seed, target), file.mismatch)
+        given = None if target is None else frame.inward(checked_array("target", target, (3,)))
+        return _mismatched(_moved(_drawn(made, own, seed, given), arm, frame), file.mismatch)
     except ContactReachError as error:
         kind = SettingsError if isinstance(error, SettingsError) else SceneError
-        raise kind(f"{file.source or file.name}: {error}") from error
+        place = f"{np.round(frame.origin, 3).tolist()} m in {arm.base_frame}, z up"
+        where = "" if own is arm else f" (places are in the arm's scene frame, at {place})"
+        raise kind(f"{file.source or file.name}: {error}{where}") from error
+
+
+def _moved(scene: Scene, arm: Arm, frame: SceneFrame) -> Scene:
+    """A scene that was made in an arm's scene frame, in its base frame."""
+    return dataclasses.replace(
+        scene,
+        arm=arm,
+        target=frame.outward(scene.target),
+        obstacles=tuple(dataclasses.replace(each, rest=frame.outward(each.rest)) for each in scene.obstacles),
+        environment=tuple(body.moved(frame.rotation, frame.origin) for body in scene.environment),
+    )
 
 
 def _drawn(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None) -> Scene:
@@ -109,8 +129,8 @@ def _drawn(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None) -> Sc
         tries = min(tries, _TARGET_TRIES_WITH_WALLS)
     if given is not None and all(section.center is not None for section in file.obstacles):
         tries = 1
-    reason = ""
-    for wanted, path in _targets(file, RobotModel(arm), given, tries, random):
+    reason, missed = "", Counter[str]()
+    for wanted, path in _targets(file, RobotModel(arm), given, tries, random, missed):
         centers = []
         for section in file.obstacles:
             center = place(section, arm, path, random)
@@ -127,6 +147,7 @@ def _drawn(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None) -> Sc
         raise SceneError(reason)
     names = " and ".join(f"the {section.KIND}" for section in file.obstacles)
     last = f" (the last: {reason})" if reason else ""
+    last += "".join(f"; {count} times {why}" for why, count in missed.most_common(1))
     raise SceneError(
         f"seed {seed}: no target{names and f' with {names} on the path'} found in {tries} tries{last}; "
         f"{'widen the box of the target' if given is None else 'choose another target'}, relax the limits of the "
@@ -150,34 +171,48 @@ def _check_placed(file: SceneFile, arm: Arm, start: Array) -> None:
 
 
 def _targets(
-    file: SceneFile, model: RobotModel, given: ArrayLike | None, tries: int, random: np.random.Generator
+    file: SceneFile,
+    model: RobotModel,
+    given: ArrayLike | None,
+    tries: int,
+    random: np.random.Generator,
+    missed: Counter[str],
 ) -> Iterator[tuple[Array, Array]]:
     """Targets (3,), m, with the arm's free path (N, n), rad, to each: a given one again and again, or random ones.
 
-    Raises `SceneError` or `InputError` if the arm cannot reach the given target.
+    `missed` counts why random ones are left out. Raises `SceneError` or `InputError` if the arm cannot reach the given
+    target.
     """
     start = file.target.start_of(model.arm)
     origin, rotation = model.tip_pose(start)
     if given is None:
         for _ in range(tries):
             drawn = random.uniform(file.target.minimum, file.target.maximum)
-            if np.linalg.norm(drawn - origin) >= file.target.min_distance:
+            if np.linalg.norm(drawn - origin) < file.target.min_distance:
+                missed[f"one is less than {file.target.min_distance:.3g} m from the start"] += 1
+                continue
+            try:
                 path = free_path(model, start, drawn)
-                if path is not None:
-                    yield drawn, path
+            except SceneError as error:
+                missed[str(error)] += 1
+            else:
+                yield drawn, path
         return
     goal = Goal(given).resolve(model.arm, rotation)
     check_goal(model.arm, goal, file.environment, start)
-    path = free_path(model, start, goal.position)
     placed = " and ".join(section.KIND for section in file.obstacles if section.center is None)
-    if path is None and placed:
-        raise SceneError(
-            f"the {placed} cannot be placed on the arm's path: from the start it does not get to the target "
-            f"{np.round(goal.position, 3).tolist()} m on a straight line with the orientation held; choose another "
-            "target, or say in a scene file where the obstacle is"
-        )
+    try:
+        path = free_path(model, start, goal.position)
+    except SceneError as error:
+        if placed:
+            raise SceneError(
+                f"the {placed} cannot be placed on the arm's path: from the start it does not get to the target "
+                f"{np.round(goal.position, 3).tolist()} m on a straight line with the orientation held, as {error}; "
+                "choose another target, or say in a scene file where the obstacle is"
+            ) from error
+        path = start[None]
     for _ in range(tries):
-        yield goal.position, start[None] if path is None else path
+        yield goal.position, path
 
 
 def _mismatched(scene: Scene, mismatch: MismatchSettings) -> Scene:

@@ -12,6 +12,7 @@ from contact_reach_ros.arm import Arm, Array, link_frames, rotation_about
 from contact_reach_ros.arm.capsules import moving, shape_radii, shape_segments
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import SceneError
 from contact_reach_ros.world.collision import capsule_segments, overlap_depths
 from contact_reach_ros.world.obstacle import BallSettings, ObstacleSettings, WallSettings
 
@@ -41,8 +42,12 @@ _MIN_SQUEEZE = 0.005
 _TARGET_CLEARANCE = 0.06
 """Least distance of the target behind the walls, m."""
 
-MIN_MOBILITY = 0.05
-"""Smallest eigenvalue of J M⁻¹ Jᵀ, 1/kg, below which a configuration counts as singular."""
+MIN_MOBILITY, MIN_MOBILITY_SHARE = 0.05, 0.64
+"""Smallest eigenvalue of J M⁻¹ Jᵀ below which a configuration counts as singular, 1/kg; for an arm whose best one has
+less than 0.08, a share of that."""
+_MOBILITY_POSTURES = 500
+_POSE = 6
+"""Number of joints that it takes to hold an orientation on the way."""
 
 _STEP = 0.004
 """Of a free path along its line, m."""
@@ -144,14 +149,32 @@ def place_walls(walls: WallSettings, arm: Arm, path: Array, random: np.random.Ge
     return None
 
 
-def free_path(model: RobotModel, start: Array, target: Array) -> Array | None:
+@functools.cache
+def least_mobility(arm: Arm) -> float:
+    """Smallest eigenvalue of J M⁻¹ Jᵀ, 1/kg, below which a configuration of this arm counts as singular."""
+    model, best = RobotModel(arm), 0.0
+    for q in np.random.default_rng(0).uniform(arm.lower, arm.upper, (_MOBILITY_POSTURES, arm.n)):
+        model.update(q, np.zeros(arm.n))
+        best = max(best, model.smallest_mobility())
+    return min(MIN_MOBILITY, MIN_MOBILITY_SHARE * best)
+
+
+def free_path(model: RobotModel, start: Array, target: Array) -> Array:
     """Joint angles (N, n) along the straight line to a flange position, orientation held, least joint motion.
 
     Inverse kinematics in steps of a few millimetres with the dynamically consistent inverse, as the impedance law would
-    move the arm. None if the line leaves the workspace, or comes near a singularity (`MIN_MOBILITY`) or within 0.2 rad
-    of a joint limit.
+    move the arm.
+
+    Raises
+    ------
+    SceneError
+        If the line leaves the workspace, or comes near a singularity (`least_mobility`) or within 0.2 rad of a joint
+        limit; the message, without the target, says which, and names the joint.
     """
-    lower, upper = model.arm.lower + _PATH_MARGIN, model.arm.upper - _PATH_MARGIN
+    arm, least = model.arm, least_mobility(model.arm)
+    if arm.n < _POSE:
+        raise SceneError(f"{arm.n} joints cannot hold the tip's orientation; expected an arm with at least {_POSE}")
+    lower, upper = arm.lower + _PATH_MARGIN, arm.upper - _PATH_MARGIN
     q, v = start.copy(), np.zeros_like(start)
     model.update(q, v)
     origin, rotation = model.position.copy(), model.rotation.copy()
@@ -161,15 +184,22 @@ def free_path(model: RobotModel, start: Array, target: Array) -> Array | None:
         error = np.empty(6)
         error[:3] = model.position - origin - share * (target - origin)
         error[3:] = 0.5 * sum(np.cross(rotation[:, k], model.rotation[:, k]) for k in range(3))
-        if model.smallest_mobility() < MIN_MOBILITY:
-            return None
+        if model.smallest_mobility() < least:
+            where = "comes near a singularity on the way" if len(path) > 1 else "starts near a singularity"
+            raise SceneError(f"the arm {where}: its mobility is below {least:.2g} 1/kg")
         inverse_mass_jacobian = np.linalg.solve(model.mass_matrix, model.jacobian.T)
         q = q - inverse_mass_jacobian @ np.linalg.solve(model.jacobian @ inverse_mass_jacobian, error)
         if ((q < lower) | (q > upper)).any():
-            return None
+            joint = int(np.maximum(lower - q, q - upper).argmax())
+            end = "upper" if q[joint] > upper[joint] else "lower"
+            raise SceneError(
+                f"joint '{arm.joint_names[joint]}' comes within {_PATH_MARGIN} rad of its {end} limit on the way"
+            )
         path.append(q.copy())
         model.update(q, v)
-    return np.array(path) if np.linalg.norm(model.position - target) < 1e-3 else None
+    if np.linalg.norm(model.position - target) >= 1e-3:
+        raise SceneError("the arm does not get there")
+    return np.array(path)
 
 
 @functools.cache

@@ -74,13 +74,13 @@ class _GoalTab:
         )
         self._reach_text = gui.add_markdown("")
         self._send = gui.add_button("Send goal", color="blue", icon=viser.Icon.SEND)
-        size = arm.reach + 0.15
+        around = [(middle - arm.reach - 0.15, middle + arm.reach + 0.15) for middle in arm.shoulder]
         self._arrows = server.scene.add_transform_controls(
             "/new_goal",
             scale=0.18,
             disable_rotations=True,
             disable_sliders=True,
-            translation_limits=((-size, size), (-size, size), (0.0, size + arm.shoulder[2])),
+            translation_limits=(around[0], around[1], around[2]),
             depth_test=False,
             visible=False,
         )

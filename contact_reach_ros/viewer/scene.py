@@ -8,8 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 import viser
+from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm.mount import scene_frame
 from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.palette import BLUE, ORANGE, PURPLE, SKY_BLUE, VERMILION, as_bytes
 from contact_reach_ros.viewer.arm import ArmView
@@ -52,13 +54,22 @@ class SceneView:
         self._obstacles = _ObstacleView(server)
         self._plan = _PlanView(server)
         self._contacts = _ContactView(server, arm, permitted_force)
-        scene = server.scene
+        scene, frame = server.scene, scene_frame(arm)
+        scene.set_up_direction(frame.rotation[:, 2])
         scene.add_grid(
-            "/floor", width=3.0, height=3.0, cell_size=0.1, section_size=0.5, plane="xy", shadow_opacity=0.15
+            "/floor",
+            width=3.0,
+            height=3.0,
+            cell_size=0.1,
+            section_size=0.5,
+            plane="xy",
+            shadow_opacity=0.15,
+            wxyz=Rotation.from_matrix(frame.rotation).as_quat(scalar_first=True),
+            position=frame.origin,
         )
         scene.world_axes.visible = False
-        server.initial_camera.position = (1.2, -1.25, 0.95)
-        server.initial_camera.look_at = (0.25, 0.0, 0.35)
+        server.initial_camera.position = frame.outward(np.array([1.2, -1.25, 0.95]))
+        server.initial_camera.look_at = frame.outward(np.array([0.25, 0.0, 0.35]))
         self._goal = scene.add_icosphere("/goal", radius=0.025, color=as_bytes(SKY_BLUE))
         self._goal.visible = False
 

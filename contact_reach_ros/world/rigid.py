@@ -49,6 +49,10 @@ class Plane:
         """Distances (...) of points (..., 3) from the surface, m; negative inside."""
         return points @ np.array(self.normal) - self.offset
 
+    def moved(self, rotation: Array, origin: Array) -> Plane:
+        """The plane of another frame, which has a rotation (3, 3) and an origin (3,), m, in the base frame."""
+        return Plane(self.name, rotation @ self.point + origin, rotation @ self.normal)
+
 
 @dataclass(frozen=True)
 class Block:
@@ -97,6 +101,11 @@ class Block:
         beyond = np.abs((points - np.array(self.center)) @ self.axes) - self.half
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
         return outside + np.minimum(beyond.max(axis=-1), 0.0)
+
+    def moved(self, rotation: Array, origin: Array) -> Block:
+        """As `Plane.moved`."""
+        turn = Rotation.from_matrix(rotation) * Rotation.from_quat(self.orientation)
+        return Block(self.name, rotation @ self.center + origin, self.size, turn.as_quat())
 
 
 RigidBody = Plane | Block

@@ -35,6 +35,7 @@ def test_copies_are_equal_and_the_same_key():
         {"capsules": ARM.capsules[:-1]},
         {"inertia_sets": {"nominal": ARM.inertias()}},
         {"reach": 0.8},
+        {"gravity": (0.0, 0.0, 9.81)},
         {"home": (0.1, *ARM.home[1:])},
     ],
     ids=lambda changes: next(iter(changes)),

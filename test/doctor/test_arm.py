@@ -109,6 +109,7 @@ def with_torque(model, extra):
 def test_what_gravity_leaves_over(model, extra, verdict, joint):
     finding = gravity(with_torque(model, extra), model, BUDGET)
     assert finding.verdict.value == verdict and f"largest at {joint}" in finding.found
+    assert finding.found.endswith("; assumed: gravity 9.81 m/s² along -z of lbr_link_0")
     assert ", ".join(f"{value:+.2f}" for value in extra) in finding.found.replace("-0.00", "+0.00")
 
 

@@ -14,7 +14,11 @@ def test_a_urdf_is_checked_and_written_as_a_table(tmp_path, capsys):
     table = tmp_path / "table.yaml"
     assert contact_reach("arm", "check", tmp_path / "arm.urdf", "--table", table) == 0
     said = capsys.readouterr().out
-    for expected in ("7 joints from lbr_link_0 to lbr_link_ee", "assumed: home"):
+    for expected in (
+        "7 joints from lbr_link_0 to lbr_link_ee",
+        "gravity 9.81 m/s² along -z of lbr_link_0",
+        "assumed: home",
+    ):
         assert expected in said.replace("\n", " ")
     assert load_arm(str(table)).joint_names == ARM.joint_names
 

@@ -1,11 +1,14 @@
 """The fit against torques that are known exactly."""
 
+import dataclasses
+
 import numpy as np
 import pinocchio as pin
 import pytest
 from motions import ARM, COULOMB, OFFSET, VISCOUS, samples
 
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.mount import mounted
 from contact_reach_ros.arm.tool import NO_TOOL, Tool
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.identification.fit import fit
@@ -20,9 +23,11 @@ def flange_moment(tool: Tool) -> np.ndarray:
     return tool.mass * np.array([1.0, *np.add(tool.center, ARM.tip_offset)])
 
 
-def test_exact_torques_give_exact_values_of_the_tool_or_of_the_links():
-    held = ARM.with_tool(HELD)
-    found = fit(Parameters(ARM, NO_TOOL), [samples(held, 40.0)])
+@pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.0, 1.5708, 0.0), (3.1416, 0.0, 0.0)])
+def test_exact_torques_give_exact_values_of_the_tool_or_of_the_links(mount):
+    arm = dataclasses.replace(ARM, gravity=mounted(mount))
+    held = arm.with_tool(HELD)
+    found = fit(Parameters(arm, NO_TOOL), [samples(held, 40.0)])
     expected = {"tool": flange_moment(HELD), "coulomb": COULOMB, "viscous": VISCOUS, "offset": OFFSET}
     for kind, values in expected.items():
         np.testing.assert_allclose(found.of(kind)[0], values, atol=1e-5)

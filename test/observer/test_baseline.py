@@ -1,5 +1,6 @@
 """The baseline of the external torque: it takes errors of the model, and no contact, however slowly that grows."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from arm_simulation import ARM, HOME, REST
 
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.mount import mounted
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.observer.baseline import FRICTION_SHARE, MEAN_TIME, Baseline
 from contact_reach_ros.observer.budget import ContactBudget
@@ -19,8 +21,8 @@ PERIOD = 0.004
 GAIN = 50.0
 
 
-def make_baseline() -> Baseline:
-    return Baseline(MODEL, BUDGET.handover_thresholds, BUDGET.contact_thresholds, 0.001)
+def make_baseline(model: RobotModel = MODEL) -> Baseline:
+    return Baseline(model, BUDGET.handover_thresholds, BUDGET.contact_thresholds, 0.001)
 
 
 @pytest.mark.parametrize("period", [0.001, 0.01])
@@ -35,17 +37,21 @@ def test_it_follows_as_fast_at_every_rate(period):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("center", [(0.0, 0.0, 0.0), (0.035, -0.035, 0.0)], ids=["centred", "off centre"])
-def test_it_takes_half_a_kilogram_and_a_tenth_of_gravity_wherever_the_arm_goes(seed, center):
+@pytest.mark.parametrize(
+    "tilt", [(0.0, 0.0, 0.0), (3.1416, 0.0, 0.0), (0.9, 1.2, 0.0)], ids=["stands", "hangs", "leans"]
+)
+def test_it_takes_half_a_kilogram_and_a_tenth_of_gravity_wherever_the_arm_goes(seed, center, tilt):
     """The payload shows on A7, whose modelled gravity is nothing, too."""
-    loaded = RobotModel(ARM.with_tool(Tool(mass=0.5, center=center)))
+    arm = dataclasses.replace(ARM, gravity=mounted(tilt))
+    model, loaded = RobotModel(arm), RobotModel(arm.with_tool(Tool(mass=0.5, center=center)))
     random = np.random.default_rng(seed)
     scale = random.uniform(-0.1, 0.1, ARM.n)
-    baseline, start = make_baseline(), HOME + random.uniform(-0.3, 0.3, ARM.n)
+    baseline, start = make_baseline(model), HOME + random.uniform(-0.3, 0.3, ARM.n)
     largest = np.zeros(ARM.n)
     end = HOME + random.uniform(-1.0, 1.0, ARM.n)
     for step in range(1500):
         q = start + min(step / 1000.0, 1.0) * (end - start)
-        gravity = MODEL.gravity_at(q)
+        gravity = model.gravity_at(q)
         error = gravity - loaded.gravity_at(q) + scale * gravity
         if step == 0:
             first = error

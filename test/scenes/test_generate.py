@@ -8,11 +8,13 @@ import pinocchio as pin
 import pytest
 from arm_simulation import ARM, POSITION_LIMITS, mobility, with_obstacle
 
+from contact_reach_ros.arm import Arm, Inertia
 from contact_reach_ros.arm.capsules import shape_segments
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import ARMS, load_arm
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.placing import free_path, path_segments
+from contact_reach_ros.scenes.placing import MIN_MOBILITY, free_path, least_mobility, path_segments
 from contact_reach_ros.world.collision import overlap_depths
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import TargetSettings, read_scene
@@ -155,3 +157,43 @@ def test_the_free_path_is_straight_and_stays_away_from_limits_and_singularities(
             assert np.linalg.norm(aside) < 2e-3
             assert np.linalg.norm(pin.log3(model.rotation @ rotation.T)) < 0.02
             assert np.linalg.eigvalsh(mobility(model))[0] > 0.04
+
+
+def heavier(factor: float) -> Arm:
+    """The iiwa 14 with all masses, inertias and rotors so many times as heavy."""
+    links = [
+        Inertia(factor * link.mass, link.center, tuple(factor * moment for moment in link.tensor))
+        for link in ARM.inertias()
+    ]
+    joints = tuple(dataclasses.replace(joint, armature=factor * joint.armature) for joint in ARM.joints)
+    return dataclasses.replace(ARM, joints=joints, inertia_sets={"nominal": tuple(links)})
+
+
+def test_a_heavy_arm_has_the_scenes_of_a_light_one():
+    assert [least_mobility(load_arm(name)) for name in ARMS] == [MIN_MOBILITY] * len(ARMS)
+    heavy = heavier(20.0)
+    assert least_mobility(heavy) == pytest.approx(MIN_MOBILITY / 20.0, rel=0.02)
+    for name in ("free", "ball", "wall"):
+        np.testing.assert_allclose(make_scene(read_scene(name), heavy, 0).target, scene_of(name, 0).target, atol=1e-12)
+
+
+def test_why_no_target_was_found_is_said_with_the_joint():
+    file, wrist = read_scene("free"), ARM.joints[5]
+    joints = (*ARM.joints[:5], dataclasses.replace(wrist, lower=0.55, upper=1.0), ARM.joints[6])
+    with pytest.raises(SceneError, match=r"\d+ times joint 'lbr_A6' comes within 0.2 rad of its l"):
+        make_scene(file, dataclasses.replace(ARM, joints=joints), 0)
+    stretched = dataclasses.replace(ARM, home=(0.0, 0.3, 0.0, 0.0, 0.0, 0.5, 0.0))
+    with pytest.raises(SceneError, match=r"\d+ times the arm starts near a singularity: its m"):
+        make_scene(file, stretched, 0)
+    five = dataclasses.replace(
+        ARM,
+        joints=ARM.joints[:5],
+        link_names=ARM.link_names[:5],
+        home=ARM.home[:5],
+        capsules=ARM.capsules[:4],
+        inertia_sets={"nominal": ARM.inertias()[:5]},
+    )
+    with pytest.raises(
+        SceneError, match=r"\d+ times 5 joints cannot hold the tip's orientation; expected .* at least 6"
+    ):
+        make_scene(file, five, 0)
