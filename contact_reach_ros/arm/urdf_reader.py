@@ -52,6 +52,8 @@ _GRIPPER = re.compile(r"jaw|finger|claw|knuckle|thumb", re.IGNORECASE)
 """In names of joints and of the links that they move, and gripper in those of joints: what grips is no part of the
 arm."""
 _ROUNDING = 1e-10
+_DIGITS = 12
+"""Decimals of joints' places, m."""
 _LINK = "link "
 """Prefix of links for Pinocchio, which finds frames by name: neither joints nor its universe have such a name."""
 
@@ -320,8 +322,9 @@ class _Reader:
         wrong = {key: limits.get(key) for key in LIMITS if not accepted[key]}
         if wrong:
             self.faults.limits(joint.name, wrong)
-        turn = _quaternion(place.rotation)
-        return Joint(joint.name, vector(place.translation), turn, lower, upper, velocity, effort, armature)
+        # Without the rounding errors of a base that is turned about the vertical.
+        offset, turn = vector(np.round(place.translation, _DIGITS)), _quaternion(place.rotation)
+        return Joint(joint.name, offset, turn, lower, upper, velocity, effort, armature)
 
     def _show_visuals(self, parts: Sequence[Part]) -> None:
         """Let visual geometry stand for that of moving parts, and of fixed bodies, which have no other.
