@@ -54,8 +54,7 @@ class ImpedanceLaw:
             raise FloatingPointError("the mass matrix is not positive definite: the state is not finite")
         vectors = np.column_stack([model.jacobian, model.twist, model.drift, error])
         rows = kernels.controlled(vectors, model.rotation, self.settings.rows)
-        return sum(
-            kernels.law_torques(
-                self._constants, factor, rows[:, :-3], rows[:, -3], rows[:, -2], rows[:, -1], posture_error, v
-            )
+        driving, braking, rest = kernels.law_torques(
+            self._constants, factor, rows[:, :-3], rows[:, -3], rows[:, -2], rows[:, -1], posture_error, v
         )
+        return driving.sum(axis=0) + braking + rest

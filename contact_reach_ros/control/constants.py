@@ -10,6 +10,7 @@ from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.kernels import REPULSION_MARGIN, Constant
 from contact_reach_ros.control.settings import (
+    BODY_STIFFNESS,
     IMPACT_ENERGY,
     SINGULARITY_FLOOR,
     ImpedanceSettings,
@@ -68,6 +69,7 @@ def make_constants(
         Constant.BODY_SPEED: limits.body_speed,
         Constant.JOINT_SPEED: JOINT_SHARE * speeds,
         Constant.IMPACT_ENERGY: IMPACT_ENERGY,
+        Constant.BODY_STIFFNESS: BODY_STIFFNESS,
     }
     return np.array([np.broadcast_to(values[row], arm.n) for row in Constant])
 

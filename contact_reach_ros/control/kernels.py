@@ -48,6 +48,7 @@ class Constant(IntEnum):
     BODY_SPEED = 15
     JOINT_SPEED = 16
     IMPACT_ENERGY = 17
+    BODY_STIFFNESS = 18
 
 
 _POSITION_ROWS, _AXIS_ROWS = 3, 5
@@ -356,7 +357,8 @@ def body_shares(
     """Greatest speed as a share of the permitted one, and the share of the driving torque that is permitted.
 
     The speed is that of joints and points, or by the energy of the mass that moves with a point. The force is what a
-    body would feel that blocks a point in the direction of its acceleration.
+    body would feel that blocks a point in the direction of its acceleration: m a, but no more than `BODY_STIFFNESS`
+    times the way that the laws drive the point, which is short near a joint's axis.
 
     Parameters
     ----------
@@ -366,13 +368,16 @@ def body_shares(
         (n,), rad and rad/s.
     mass_factor
         Cholesky factor L of M, (n, n).
-    driving, braking
-        Torques (n,), N m, of stiffness and of damping.
+    driving
+        Torques (2, n), N m, of the stiffness of law (1) and that of law (2).
+    braking
+        Torque (n,), N m, of damping.
     """
-    speed_share, share = 0.0, 1.0
+    speed_share, share, most = 0.0, 1.0, constants[Constant.TIP_FORCE, 0]
     for i in range(len(q)):
         speed_share = max(speed_share, abs(v[i]) / constants[Constant.JOINT_SPEED, i])
-    speeding = solve_upper(mass_factor, solve_lower(mass_factor, driving))
+    leading = solve_upper(mass_factor, solve_lower(mass_factor, driving[0]))
+    folding = solve_upper(mass_factor, solve_lower(mass_factor, driving[1]))
     slowing = solve_upper(mass_factor, solve_lower(mass_factor, braking))
     rotations, origins = joint_frames(placements, q)
     for index in range(len(links)):
@@ -383,12 +388,15 @@ def body_shares(
             energy = 0.5 * speed * speed * moving_mass(rows, motion / speed, mass_factor)
             by_energy = np.sqrt(energy / constants[Constant.IMPACT_ENERGY, 0])
             speed_share = max(speed_share, speed / constants[Constant.BODY_SPEED, 0], by_energy)
-        push = times(rows.T, speeding)
+        lead, fold = times(rows.T, leading), times(rows.T, folding)
+        push = lead + fold
         acceleration = norm(push)
         if acceleration > 1e-3:
             mass = moving_mass(rows, push / acceleration, mass_factor)
-            most = constants[Constant.TIP_FORCE, 0] / mass
-            share = min(share, push_share(push, times(rows.T, slowing), most))
+            way = norm(lead) / max(constants[Constant.TASK_STIFFNESS, 0], 1e-9)
+            way += norm(fold) / max(constants[Constant.NULL_STIFFNESS, 0], 1e-9)
+            blocked = push_share(push, times(rows.T, slowing), most / mass)
+            share = min(share, max(blocked, most / (constants[Constant.BODY_STIFFNESS, 0] * way)))
     return speed_share, share
 
 
@@ -403,7 +411,9 @@ def law_torques(
     posture_error: Array,
     v: Array,
 ) -> tuple[Array, Array, Array]:
-    """τ of law (3) without the C + g of law (1) as the sum of three torques (n,), N m: stiffness, damping, and drift.
+    """τ of law (3) without the C + g of law (1) as the sum of four torques (n,), N m.
+
+    They are the stiffness of law (1) and that of law (2), as rows of one array (2, n), the damping, and the drift.
 
     (1) + (2) as Jᵀ Λ (ẍ_cmd − J M⁻¹ τ₀) + τ₀, since Nᵀ = I − Jᵀ Λ J M⁻¹.
 
@@ -430,18 +440,21 @@ def law_torques(
             for k in range(n):
                 product += rows[row, k] * rows[column, k]
             mobility[row, column] = mobility[column, row] = product
-    driving = -constants[Constant.NULL_STIFFNESS] * posture_error
+    driving = np.empty((2, n))
+    driving[1] = -constants[Constant.NULL_STIFFNESS] * posture_error
     braking = -constants[Constant.NULL_DAMPING] * v
-    pull, drag = times(rows, solve_lower(mass_factor, driving)), times(rows, solve_lower(mass_factor, braking))
-    wanted = np.empty((3, m))
+    pull, drag = times(rows, solve_lower(mass_factor, driving[1])), times(rows, solve_lower(mass_factor, braking))
+    wanted = np.empty((4, m))
     for row in range(m):
-        wanted[0, row] = -constants[Constant.TASK_STIFFNESS, 0] * error[row] - pull[row]
-        wanted[1, row] = -constants[Constant.TASK_DAMPING, 0] * twist[row] - drag[row]
-        wanted[2, row] = -drift[row]
+        wanted[0, row] = -constants[Constant.TASK_STIFFNESS, 0] * error[row]
+        wanted[1, row] = -pull[row]
+        wanted[2, row] = -constants[Constant.TASK_DAMPING, 0] * twist[row] - drag[row]
+        wanted[3, row] = -drift[row]
     wrenches = solve_bounded(mobility, wanted, constants[Constant.SINGULARITY_FLOOR, 0])
-    driving += times(jacobian.T, wrenches[0])
-    braking += times(jacobian.T, wrenches[1])
-    return driving, braking, times(jacobian.T, wrenches[2])
+    driving[0] = times(jacobian.T, wrenches[0])
+    driving[1] += times(jacobian.T, wrenches[1])
+    braking += times(jacobian.T, wrenches[2])
+    return driving, braking, times(jacobian.T, wrenches[3])
 
 
 @_compiled()
@@ -573,7 +586,7 @@ def tracking_torque(
     )
     found[6], push = body_shares(constants, placements, links, points, q, v, factor, driving, braking)
     push = min(push, max((1.0 + _FADE - found[6]) / _FADE, 0.0))
-    torque = push * driving + braking + rest
+    torque = push * (driving[0] + driving[1]) + braking + rest
     repulsion = repulsion_torque(constants, q, v)
     for i in range(n):
         torque[i] += repulsion[i]

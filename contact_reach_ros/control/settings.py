@@ -14,9 +14,11 @@ TASK_ROWS = {POSE: 6, AXIS: 5, POSITION: 3}
 """Rows that law (1) controls, by the setting `task`: translation and rotation, translation and the direction of the
 tip's z axis, or translation alone."""
 
+BODY_STIFFNESS = 75e3
+"""Of a hand, N/m (ISO/TS 15066): the stiffest body that the caps are for."""
 IMPACT_ENERGY = 0.13
-"""Kinetic energy in the direction of a point's motion beyond which the arm is not driven, J: a body of 75 N/mm is hit
-with 140 N."""
+"""Kinetic energy in the direction of a point's motion beyond which the arm is not driven, J: that body is hit with 140
+N."""
 SINGULARITY_FLOOR = 0.03
 """Eigenvalues of J M⁻¹ Jᵀ below this are lifted, 1/kg, which bounds Λ: it costs less than 1 mm
 while the elbow is bent by 0.4 rad, see docs/control.md."""

@@ -9,9 +9,9 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.constants import JOINT_SHARE, body_of, make_constants
 from contact_reach_ros.control.kernels import body_shares, factorise, push_share
-from contact_reach_ros.control.settings import IMPACT_ENERGY, LimitSettings
+from contact_reach_ros.control.settings import IMPACT_ENERGY, ImpedanceSettings, LimitSettings
 
-LIMITS = LimitSettings()
+LIMITS, GAINS = LimitSettings(), ImpedanceSettings()
 
 
 def by_pinocchio(model: RobotModel, q, v, driving, braking) -> tuple[float, float]:
@@ -34,11 +34,13 @@ def by_pinocchio(model: RobotModel, q, v, driving, braking) -> tuple[float, floa
             row = motion @ jacobian / fast
             energy = 0.5 * fast**2 / (row @ inverse @ row)
             speed = max(speed, fast / LIMITS.body_speed, np.sqrt(energy / IMPACT_ENERGY))
-            push, brake = jacobian @ inverse @ driving, jacobian @ inverse @ braking
+            lead, fold = jacobian @ inverse @ driving[0], jacobian @ inverse @ driving[1]
+            push, brake = lead + fold, jacobian @ inverse @ braking
             row = push @ jacobian / np.linalg.norm(push)
             mass = 1.0 / (row @ inverse @ row)
+            way = np.linalg.norm(lead) / GAINS.task_stiffness + np.linalg.norm(fold) / GAINS.null_stiffness
             shares = np.linspace(0.0, 1.0, 20_001)[:, None]
-            forces = mass * np.linalg.norm(shares * push + brake, axis=1)
+            forces = np.minimum(mass * np.linalg.norm(shares * push + brake, axis=1), 75e3 * way * shares[:, 0])
             fits = shares[:, 0][forces <= LIMITS.tip_force]
             share = min(share, fits.max() if len(fits) else shares[forces.argmin(), 0])
     return speed, share
@@ -52,7 +54,8 @@ def test_they_hold_at_every_end_of_a_capsule(name):
     for q, v in zip(*random_states(8, 7, arm), strict=True):
         v = 0.2 * v
         model.update(q, v)
-        driving, braking = random.normal(size=(2, arm.n)) * (0.1 * arm.torque_limits, 0.01 * arm.torque_limits)
+        driving = random.normal(size=(2, arm.n)) * (0.1 * arm.torque_limits, 0.02 * arm.torque_limits)
+        braking = random.normal(size=arm.n) * 0.01 * arm.torque_limits
         factor, _ = factorise(model.mass_matrix, 0.0)
         found = body_shares(constants, *body_of(model), q, v, factor, driving, braking)
         np.testing.assert_allclose(found, by_pinocchio(model, q, v, driving, braking), rtol=1e-3, atol=1e-4)
@@ -64,3 +67,20 @@ def test_damping_that_balances_the_push_leaves_it_whole():
     assert push_share(push, -push, 60.0) == 1.0
     assert push_share(push, np.zeros(3), 60.0) == pytest.approx(0.4)
     assert push_share(push, np.array([0.0, 90.0, 0.0]), 60.0) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("lever", "torque", "share"),
+    [
+        (0.3, 30.0, 0.6),  # 100 N on what blocks it
+        (0.05, 6.0, 60.0 / 85.2),  # 120 N, but a body of 75 N/mm yields by 1.1 mm, all the way there is
+        (0.004, 6.0, 1.0),  # 1500 N, but 0.09 mm
+    ],
+)
+def test_a_point_near_an_axis_presses_no_harder_than_its_way_allows(lever, torque, share):
+    """One joint of 0.3 kg m²; without that, ends of capsules some mm off an axis would hold the arm."""
+    constants = make_constants(load_arm("iiwa14"))[:, :1]
+    none, factor = np.zeros(1), np.array([[np.sqrt(0.3)]])
+    placement, driving = np.eye(3, 4), np.array([[torque], [0.0]])
+    found = body_shares(constants, placement, none, np.array([[lever, 0.0, 0.0]]), none, none, factor, driving, none)
+    assert found[1] == pytest.approx(share, rel=1e-3)
