@@ -29,13 +29,14 @@ class Message:
     """A command, a joint state or an observation of the obstacles in transit; faults change it in place."""
 
     values: dict[str, Array]
-    """'effort' (n,), N m, unless it is missing; for a joint state also 'position' (n,), rad, and 'velocity' (n,),
-    rad/s; nothing for obstacles."""
+    """'effort' (n,), N m; for a joint state also 'position' (n,), rad, and 'velocity' (n,), rad/s; nothing for
+    obstacles."""
     stamp_ns: int = 0
     """Stamp of a joint state, ns."""
     delay: float = 0.0
     """Time in transit, s."""
     is_lost: bool = False
+    has_effort: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,7 +232,8 @@ class Faults:
         self._spoilt(message, ("states", "efforts"), state.stamp_ns)
         if not message.is_lost:
             read = message.values
-            sent = JointState(message.stamp_ns, read["position"], read["velocity"], read.get("effort"))
+            effort = read["effort"] if message.has_effort else None
+            sent = JointState(message.stamp_ns, read["position"], read["velocity"], effort)
             _send(self._states, sent, message.delay, state.stamp_ns)
         return _arrivals(self._states, state.stamp_ns)
 
@@ -262,7 +264,7 @@ class Faults:
         values = message.values
         match fault:
             case Lost(what="efforts"):
-                values.pop("effort", None)
+                message.has_effort = False
             case Lost():
                 message.is_lost = True
             case Late():
