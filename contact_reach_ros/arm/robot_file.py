@@ -45,7 +45,7 @@ def read_robot_file(file: Path, options: ArmOptions) -> RobotFile:
 
         return RobotFile(*robot_of_mjcf(file))
     if b"${" in content or b"$(" in content or any(element.tag.startswith("xacro:") for element in root.iter()):
-        root = _parsed(_expanded(file, options), file)
+        root = _parsed(_expanded(root, file, options), file)
     if root.tag != "robot":
         raise SettingsError(f"{file}: its root is <{root.tag}>; expected <robot> (URDF, xacro) or <mujoco> (MJCF)")
     return RobotFile(root, [])
@@ -71,7 +71,7 @@ def _parsed(content: bytes, file: Path) -> Element:
     return builder.close()
 
 
-def _expanded(file: Path, options: ArmOptions) -> bytes:
+def _expanded(root: Element, file: Path, options: ArmOptions) -> bytes:
     try:
         import xacro
         from xacro import substitution_args
@@ -92,7 +92,9 @@ def _expanded(file: Path, options: ArmOptions) -> bytes:
         text: str = xacro.process_file(str(file), mappings=given).toxml()
     # Macros are expressions in Python and may raise whatever these do.
     except Exception as error:
-        mend = "give its arguments under xacro ({name: value}), folders of its packages under packages"
+        defaults = {each.get("name"): each.get("default") or "''" for each in root.iter("xacro:arg")}
+        arguments = ", ".join(f"{name}: {default}" for name, default in defaults.items() if "$(" not in default)
+        mend = f"give its arguments under xacro ({{{arguments}}}), folders of its packages under packages"
         raise SettingsError(f"{file}: xacro does not expand it: {str(error) or repr(error)}; {mend}") from error
     return text.encode()
 

@@ -252,9 +252,20 @@ def test_a_mimic_joint_is_held_where_its_leader_is(tmp_path):
 
 def test_a_mimic_joint_of_the_chain_is_held_with_its_leader_and_refused_without(tmp_path):
     text = six_joints(j4=joint("j4", "l3", "l4", extra=LIMIT + '<mimic joint="j3"/>'))
-    with pytest.raises(SettingsError, match=r"'j4', .* mimics joint 'j3'"):
+    with pytest.raises(SettingsError, match="'j4' mimics joint 'j3'"):
         read(tmp_path, text)
     assert read(tmp_path, text, ArmOptions(fixed={"j3": 0.1})).arm.joint_names == ("j1", "j2", "j5", "j6")
+
+
+def test_what_a_refusal_of_sliding_joints_says_mends_it(tmp_path):
+    slides = {
+        f"j{number}": joint(f"j{number}", before, f"l{number}", kind="prismatic")
+        for number, before in ((1, "base"), (2, "l1"))
+    }
+    with pytest.raises(SettingsError, match="'j1' is of type prismatic; joint 'j2' is") as refused:
+        read(tmp_path, six_joints(**slides))
+    (tmp_path / "arm.yaml").write_text("fixed: " + re.search(r"under fixed \((.*?)\)", str(refused.value))[1])
+    assert read_arm_file(tmp_path / "arm.urdf").arm.joint_names == ("j3", "j4", "j5", "j6")
 
 
 def test_limits_without_end_and_soft_limits(tmp_path):
@@ -354,6 +365,16 @@ def test_a_xacro_file_is_expanded_with_its_arguments_and_packages(tmp_path):
     (tmp_path / "arm.yaml").write_text("xacro: {tip: end}\npackages: {parts: nowhere}\n")
     with pytest.raises(SettingsError, match=f"^{file}: xacro does not expand it: .*nowhere"):
         read_arm_file(file)
+
+
+def test_a_xacro_file_that_lacks_an_argument_is_refused_with_all_of_them(tmp_path):
+    pytest.importorskip("xacro", reason="pip install xacro")
+    declared = (("name", "ar"), ("kind", ""), ("way", "$(arg name)/a"))
+    arguments = "".join(f'<xacro:arg name="{name}" default="{default}"/>' for name, default in declared)
+    text = six_joints(arguments).replace('"six"', '"$(arg name)" xmlns:xacro="http://www.ros.org/wiki/xacro"')
+    with pytest.raises(SettingsError, match=r"argument name; .* under xacro \({name: ar, kind: ''}\)"):
+        read(tmp_path, text, name="arm.xacro")
+    assert read(tmp_path, text, ArmOptions(xacro={"name": "ar"}), name="arm.xacro").arm.name == "ar"
 
 
 @pytest.mark.parametrize("end", ["<xacro:x/>", fixed("l6", "${tip}")])
