@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, TreeBuilder
@@ -16,7 +18,7 @@ DESCRIPTIONS = (".urdf", ".xacro", ".xml")
 """Endings of files that describe robots, in any case."""
 POINTS = "points"
 """Geometry beside that of URDFs: the convex hull of the points in its attribute `at`, m."""
-_SCHEME = "package://"
+_PACKAGED = re.compile("(?:package://|.*/share/)([^/]+)/(.+)")
 _PREFIX_PATHS = ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
 
 
@@ -122,10 +124,12 @@ def _is_package(file: Path, package: str) -> bool:
 
 
 def find_mesh(name: str, file: Path, packages: Mapping[str, str]) -> Path | None:
-    """The mesh that a robot's file names, beside it or in a package; None if there is no such file."""
-    if name.startswith(_SCHEME):
-        package, _, rest = name.removeprefix(_SCHEME).partition("/")
-        paths: Iterable[Path] = (folder / rest for folder in package_folders(package, file, packages))
-    else:
-        paths = [file.parent / name.removeprefix("file://")]
+    """The mesh that a robot's file names, beside it or in a package; None if there is no such file.
+
+    A path with share/ is that of an installed package, which files expanded on another machine have.
+    """
+    packaged = _PACKAGED.match(name)
+    paths: Iterable[Path] = [file.parent / name.removeprefix("file://")]
+    if packaged:
+        paths = chain(paths, (folder / packaged[2] for folder in package_folders(packaged[1], file, packages)))
     return next((path for path in paths if path.is_file()), None)
