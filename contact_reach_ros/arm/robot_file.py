@@ -96,7 +96,8 @@ def _expanded(root: Element, file: Path, options: ArmOptions) -> bytes:
     except Exception as error:
         defaults = {each.get("name"): each.get("default") or "''" for each in root.iter("xacro:arg")}
         arguments = ", ".join(f"{name}: {default}" for name, default in defaults.items() if "$(" not in default)
-        mend = f"give its arguments under xacro ({{{arguments}}}), folders of its packages under packages"
+        declared = f"its arguments under xacro ({{{arguments}}}), " if arguments else ""
+        mend = f"give {declared}folders of its packages under packages"
         raise SettingsError(f"{file}: xacro does not expand it: {str(error) or repr(error)}; {mend}") from error
     return text.encode()
 
