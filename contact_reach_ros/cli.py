@@ -149,7 +149,7 @@ def _parser() -> argparse.ArgumentParser:
 
     arm = commands.add_parser("arm", help="look at an arm's description").add_subparsers(required=True, metavar="WHAT")
     check = arm.add_parser("check", help="what a URDF says, lacks and leaves to rules")
-    check.add_argument("name", metavar="ARM", help="a name, or the path of a URDF or YAML file")
+    check.add_argument("name", metavar="ARM", help="a name, or the path of a URDF, xacro, MJCF or YAML file")
     check.add_argument("--table", type=Path, metavar="FILE", help="write all numbers as a table, a YAML file")
     check.set_defaults(run=_later("doctor.arm_check:check_arm"))
 
@@ -200,7 +200,7 @@ def _add_discovery(command: argparse.ArgumentParser, what: str) -> None:
 
 
 def _add_arm(command: argparse.ArgumentParser, name: str = "arm") -> None:
-    text = "name of the arm, or path of its URDF or YAML file (default: the parameter file's, iiwa14)"
+    text = "name of the arm, or path of its URDF, xacro, MJCF or YAML file (default: the parameter file's, iiwa14)"
     command.add_argument("--arm", dest=name, metavar="ARM", help=text)
 
 

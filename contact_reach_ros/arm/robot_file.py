@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, TreeBuilder
@@ -16,7 +18,7 @@ DESCRIPTIONS = (".urdf", ".xacro", ".xml")
 """Endings of files that describe robots, in any case."""
 POINTS = "points"
 """Geometry beside that of URDFs: the convex hull of the points in its attribute `at`, m."""
-_SCHEME = "package://"
+_PACKAGED = re.compile("(?:package://|.*/share/)([^/]+)/(.+)")
 _PREFIX_PATHS = ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
 
 
@@ -45,7 +47,7 @@ def read_robot_file(file: Path, options: ArmOptions) -> RobotFile:
 
         return RobotFile(*robot_of_mjcf(file))
     if b"${" in content or b"$(" in content or any(element.tag.startswith("xacro:") for element in root.iter()):
-        root = _parsed(_expanded(file, options), file)
+        root = _parsed(_expanded(root, file, options), file)
     if root.tag != "robot":
         raise SettingsError(f"{file}: its root is <{root.tag}>; expected <robot> (URDF, xacro) or <mujoco> (MJCF)")
     return RobotFile(root, [])
@@ -71,7 +73,7 @@ def _parsed(content: bytes, file: Path) -> Element:
     return builder.close()
 
 
-def _expanded(file: Path, options: ArmOptions) -> bytes:
+def _expanded(root: Element, file: Path, options: ArmOptions) -> bytes:
     try:
         import xacro
         from xacro import substitution_args
@@ -92,7 +94,10 @@ def _expanded(file: Path, options: ArmOptions) -> bytes:
         text: str = xacro.process_file(str(file), mappings=given).toxml()
     # Macros are expressions in Python and may raise whatever these do.
     except Exception as error:
-        mend = "give its arguments under xacro ({name: value}), folders of its packages under packages"
+        defaults = {each.get("name"): each.get("default") or "''" for each in root.iter("xacro:arg")}
+        arguments = ", ".join(f"{name}: {default}" for name, default in defaults.items() if "$(" not in default)
+        declared = f"its arguments under xacro ({{{arguments}}}), " if arguments else ""
+        mend = f"give {declared}folders of its packages under packages"
         raise SettingsError(f"{file}: xacro does not expand it: {str(error) or repr(error)}; {mend}") from error
     return text.encode()
 
@@ -120,10 +125,12 @@ def _is_package(file: Path, package: str) -> bool:
 
 
 def find_mesh(name: str, file: Path, packages: Mapping[str, str]) -> Path | None:
-    """The mesh that a robot's file names, beside it or in a package; None if there is no such file."""
-    if name.startswith(_SCHEME):
-        package, _, rest = name.removeprefix(_SCHEME).partition("/")
-        paths: Iterable[Path] = (folder / rest for folder in package_folders(package, file, packages))
-    else:
-        paths = [file.parent / name.removeprefix("file://")]
+    """The mesh that a robot's file names, beside it or in a package; None if there is no such file.
+
+    A path with share/ is that of an installed package, which files expanded on another machine have.
+    """
+    packaged = _PACKAGED.match(name)
+    paths: Iterable[Path] = [file.parent / name.removeprefix("file://")]
+    if packaged:
+        paths = chain(paths, (folder / packaged[2] for folder in package_folders(packaged[1], file, packages)))
     return next((path for path in paths if path.is_file()), None)

@@ -69,7 +69,7 @@ class ArmOptions:
     """By link, instead of the one around its collision geometry."""
     packages: Mapping[str, str] = field(default_factory=dict)
     """Folders of ROS packages that meshes and xacro files are in."""
-    xacro: Mapping[str, str | float | bool] = field(default_factory=dict)
+    xacro: Mapping[str, str | int | float | bool] = field(default_factory=dict)
     """Arguments of a xacro file."""
     armature: float | tuple[float, ...] | None = None
     """Reflected inertia of motors and gears, for all joints or each, kg m²; by default the MJCF's, or `ARMATURE`."""

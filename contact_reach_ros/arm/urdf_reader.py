@@ -223,15 +223,16 @@ class _Reader:
                 "under tip, or another base"
             )
         moving = [joint for joint in chain if joint.kind != "fixed" and not self._is_held(joint)]
-        for joint in moving:
-            hold = f"hold it at a position under fixed ({{{joint.name}: 0.0}}), or choose another base or tip"
-            where = f"{self.file}: joint '{joint.name}', between base '{base}' and tip '{tip}',"
-            if joint.kind not in TURNING:
-                raise SettingsError(f"{where} is of type {joint.kind}; expected {' or '.join(TURNING)}: {hold}")
-            if mimicked := joint.mimicked():
-                raise SettingsError(
-                    f"{where} mimics joint '{mimicked[0]}'; expected joints that move on their own: {hold}"
-                )
+        wrong = {joint.name: f"is of type {joint.kind}" for joint in moving if joint.kind not in TURNING}
+        wrong |= {joint.name: f"mimics joint '{leader[0]}'" for joint in moving if (leader := joint.mimicked())}
+        if wrong:
+            found = "; ".join(f"joint '{name}' {what}" for name, what in wrong.items())
+            fixed = ", ".join(f"{name}: 0.0" for name in wrong)
+            raise SettingsError(
+                f"{self.file}: between base '{base}' and tip '{tip}': {found}; expected {' or '.join(TURNING)} joints "
+                f"that move on their own: hold others at a position under fixed ({{{fixed}}}), or choose another base "
+                "or tip"
+            )
         if not 2 <= len(moving) <= MAX_JOINTS:
             names = ", ".join(joint.name for joint in moving) or "none"
             raise SettingsError(

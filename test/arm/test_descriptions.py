@@ -252,9 +252,20 @@ def test_a_mimic_joint_is_held_where_its_leader_is(tmp_path):
 
 def test_a_mimic_joint_of_the_chain_is_held_with_its_leader_and_refused_without(tmp_path):
     text = six_joints(j4=joint("j4", "l3", "l4", extra=LIMIT + '<mimic joint="j3"/>'))
-    with pytest.raises(SettingsError, match=r"'j4', .* mimics joint 'j3'"):
+    with pytest.raises(SettingsError, match="'j4' mimics joint 'j3'"):
         read(tmp_path, text)
     assert read(tmp_path, text, ArmOptions(fixed={"j3": 0.1})).arm.joint_names == ("j1", "j2", "j5", "j6")
+
+
+def test_what_a_refusal_of_sliding_joints_says_mends_it(tmp_path):
+    slides = {
+        f"j{number}": joint(f"j{number}", before, f"l{number}", kind="prismatic")
+        for number, before in ((1, "base"), (2, "l1"))
+    }
+    with pytest.raises(SettingsError, match="'j1' is of type prismatic; joint 'j2' is") as refused:
+        read(tmp_path, six_joints(**slides))
+    (tmp_path / "arm.yaml").write_text("fixed: " + re.search(r"under fixed \((.*?)\)", str(refused.value))[1])
+    assert read_arm_file(tmp_path / "arm.urdf").arm.joint_names == ("j3", "j4", "j5", "j6")
 
 
 def test_limits_without_end_and_soft_limits(tmp_path):
@@ -324,13 +335,13 @@ def test_packages_have_the_names_that_they_say(tmp_path):
         (package / name).mkdir(parents=True)
     (package / "package.xml").write_text("<package><name>arm_description</name></package>")
     trimesh.creation.box((0.04, 0.12, 0.04)).export(package / "meshes" / "box.stl")
-    mesh = '<collision><geometry><mesh filename="package://arm_description/meshes/box.stl"/></geometry></collision>'
-    text = six_joints(l4=link("l4", 1.5, mesh))
     beside = tmp_path / "other-1.0" / "robots"
     beside.mkdir(parents=True)
     for folder in (package / "urdf", beside):
-        capsules = read(folder, text).arm.capsules
-        assert next(each for each in capsules if each.link == 4).radius == pytest.approx(0.0289, abs=2e-4)
+        for place in ("package:/", "file:///of/another/machine/install/arm_description/share"):
+            mesh = f'<geometry><mesh filename="{place}/arm_description/meshes/box.stl"/></geometry>'
+            capsules = read(folder, six_joints(l4=link("l4", 1.5, f"<collision>{mesh}</collision>"))).arm.capsules
+            assert next(each for each in capsules if each.link == 4).radius == pytest.approx(0.0289, abs=2e-4)
 
 
 MACRO = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -354,6 +365,17 @@ def test_a_xacro_file_is_expanded_with_its_arguments_and_packages(tmp_path):
     (tmp_path / "arm.yaml").write_text("xacro: {tip: end}\npackages: {parts: nowhere}\n")
     with pytest.raises(SettingsError, match=f"^{file}: xacro does not expand it: .*nowhere"):
         read_arm_file(file)
+
+
+def test_a_xacro_file_that_lacks_an_argument_is_refused_with_all_of_them(tmp_path):
+    pytest.importorskip("xacro", reason="pip install xacro")
+    declared = (("name", "ar"), ("kind", ""), ("way", "$(arg name)/a"))
+    arguments = "".join(f'<xacro:arg name="{name}" default="{default}"/>' for name, default in declared)
+    text = six_joints(arguments).replace('"six"', '"$(arg name)" xmlns:xacro="http://www.ros.org/wiki/xacro"')
+    with pytest.raises(SettingsError, match=r"argument name; .* under xacro \({name: ar, kind: ''}\)"):
+        read(tmp_path, text, name="arm.xacro")
+    (tmp_path / "arm.yaml").write_text("xacro: {name: 7, kind: true}")
+    assert read_arm_file(tmp_path / "arm.xacro").arm.name == "7"
 
 
 @pytest.mark.parametrize("end", ["<xacro:x/>", fixed("l6", "${tip}")])

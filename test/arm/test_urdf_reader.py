@@ -214,7 +214,10 @@ LOST = '<mesh filename="package://x/y.stl"/>'
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
-        ({"joint_3": joint("joint_3", "part_2", "part_3", kind="prismatic")}, "'joint_3', .* prismatic; .*under fixed"),
+        (
+            {"joint_3": joint("joint_3", "part_2", "part_3", kind="prismatic")},
+            "'joint_3' is of type prismatic; .*under fixed",
+        ),
         (
             {"loop": joint("loop", "part_7", "part_2")},
             "closed loop: joints 'joint_2' and 'loop' both move link 'part_2'",
