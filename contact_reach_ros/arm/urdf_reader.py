@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -22,7 +24,7 @@ from contact_reach_ros.arm.link_capsules import Part, link_capsules
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.mount import gravity_of, in_words
 from contact_reach_ros.arm.plausibility import LEAST_EFFORT, Faults, check_inertia, check_weight, doubts
-from contact_reach_ros.arm.robot_file import DESCRIPTIONS, read_robot_file
+from contact_reach_ros.arm.robot_file import DESCRIPTIONS, find_mesh, read_robot_file
 from contact_reach_ros.arm.table import ARMATURE, ArmOptions, arm_of_table, check_lengths, converted, gravity_in
 from contact_reach_ros.arm.urdf_tree import (
     LIMITS,
@@ -37,6 +39,7 @@ from contact_reach_ros.arm.urdf_tree import (
     tree_of,
 )
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.resources import VERSION, kept
 from contact_reach_ros.settings import read_yaml
 
 MAX_JOINTS = 7
@@ -69,14 +72,20 @@ def read_arm(file: Path, options: ArmOptions | None = None, options_file: Path |
     """Make an arm of a URDF, xacro or MJCF file; `options_file` is where errors say that options belong.
 
     Each link's frame is the URDF's, turned so that the joint turns about its z axis; links joined by fixed joints are
-    one link.
+    one link. What has been read before is kept in the user's cache.
 
     Raises `SettingsError` if the file is not that of a serial arm with revolute joints, or lacks something; the message
     names all links or joints, what was expected, and the key of `ArmOptions` that mends it.
     """
     options = options or ArmOptions()
     robot, assumed = read_robot_file(file, options)
-    return _Reader(tree_of(robot, file), file, options, assumed, options_file).read()
+    reader = _Reader(tree_of(robot, file), file, options, assumed, options_file)
+    # What is read, and what reads it: meshes that capsules may be fitted to, and the modules of this folder.
+    shapes = (link.findall("collision") or link.findall("visual") for link in robot.findall("link"))
+    names = dict.fromkeys(mesh.get("filename", "") for each in shapes for shape in each for mesh in shape.iter("mesh"))
+    files = [*(find_mesh(name, file, options.packages) for name in names), *sorted(Path(__file__).parent.glob("*.py"))]
+    contents = [path and hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
+    return kept((VERSION, file, options, assumed, ElementTree.tostring(robot), contents), reader.read)
 
 
 class _Reader:
