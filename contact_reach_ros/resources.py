@@ -93,7 +93,10 @@ def kept(parts: tuple[object, ...], make: Callable[[], T]) -> T:
     make
         Makes it; that it cannot be kept is no error.
     """
-    file = cache_directory() / f"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}.pickle"
+    try:
+        file = cache_directory() / f"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}.pickle"
+    except ContactReachError:
+        return make()
     with contextlib.suppress(Exception):  # pickle raises whatever a damaged file leads to
         known: T = pickle.loads(file.read_bytes())
         return known

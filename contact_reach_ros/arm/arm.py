@@ -184,10 +184,7 @@ class Arm:
     def inertias(self, inertia_set: str = "nominal") -> tuple[Inertia, ...]:
         """Inertial parameters of the links.
 
-        Raises
-        ------
-        SettingsError
-            If there is no such set; the message lists the available ones.
+        Raises `SettingsError` if there is no such set; the message lists the available ones.
         """
         try:
             return self.inertia_sets[inertia_set]
@@ -215,10 +212,7 @@ class Arm:
     def joint_index(self, name: str) -> int:
         """Index of a joint, counted from zero.
 
-        Raises
-        ------
-        SettingsError
-            If there is no such joint; the message lists the names that exist.
+        Raises `SettingsError` if there is no such joint; the message lists the names that exist.
         """
         try:
             return self.joint_names.index(name)

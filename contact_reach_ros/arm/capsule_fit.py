@@ -48,7 +48,7 @@ class Fit:
     @property
     def volume(self) -> float:
         """Of the capsule, m³."""
-        return _volume(self.start, self.end, self.radius)
+        return volume(self.start, self.end, self.radius)
 
 
 def cover(balls: Array, cuts: int = _CUTS) -> list[Fit]:
@@ -86,29 +86,30 @@ def fit_capsule(balls: Array, on_axis: bool = False) -> Fit:
     size = float(np.ptp(balls[:, :3], axis=0).max()) + float(balls[:, 3].max()) + _SHORTEST
     principal = np.linalg.svd(balls[:, :3] - balls[:, :3].mean(axis=0), full_matrices=False)[2]
     frames = [np.eye(3)] if on_axis else [frame_about(axis) for axis in principal]
+    points, radii = balls[:, :3] - center, balls[:, 3]
 
     def capsule(values: Array, frame: Array) -> tuple[Array, Array, float]:
         """Widened, and, unless it is on the axis, tilted and shifted in two directions, in units of the size."""
         widened, *aside = values
         tilt, shift = (aside[:2], size * np.array(aside[2:])) if aside else ((0.0, 0.0), np.zeros(2))
         turned = frame_about(frame @ (*tilt, 1.0)) if aside else frame
-        local = (balls[:, :3] - center) @ turned
+        local = points @ turned
         distance = np.hypot(local[:, 0] - shift[0], local[:, 1] - shift[1])
-        radius = float((distance + balls[:, 3]).max()) * (1.0 + abs(widened))
-        along = np.sqrt(np.maximum((radius - balls[:, 3]) ** 2 - distance**2, 0.0))
+        radius = float((distance + radii).max()) * (1.0 + abs(widened))
+        along = np.sqrt(np.maximum((radius - radii) ** 2 - distance**2, 0.0))
         low, high = float((local[:, 2] + along).min()), float((local[:, 2] - along).max())
         if high - low < _SHORTEST:
             low, high = 0.5 * (low + high - _SHORTEST), 0.5 * (low + high + _SHORTEST)
         offset = turned[:, :2] @ shift + center
         return offset + low * turned[:, 2], offset + high * turned[:, 2], radius
 
-    def volume(values: Array, frame: Array) -> float:
-        return _volume(*capsule(values, frame)) / size**3
+    def size_of(values: Array, frame: Array) -> float:
+        return volume(*capsule(values, frame)) / size**3
 
     variables = 1 if on_axis else 5
     simplex = np.vstack([np.zeros(variables), 0.1 * np.eye(variables)])
     options = {"initial_simplex": simplex, "xatol": 5e-4, "fatol": 1e-6, "maxiter": 600}
-    found = [(minimize(volume, simplex[0], (frame,), "Nelder-Mead", options=options), frame) for frame in frames]
+    found = [(minimize(size_of, simplex[0], (frame,), "Nelder-Mead", options=options), frame) for frame in frames]
     best, frame = min(found, key=lambda pair: pair[0].fun)
     return _judged(*capsule(best.x, frame), balls)
 
@@ -125,10 +126,10 @@ def _judged(start: Array, end: Array, radius: float, balls: Array) -> Fit:
         bare = float(ConvexHull(np.concatenate(points)).volume)
     except QhullError:
         return Fit(start, end, radius, math.inf)
-    return Fit(start, end, radius, _volume(start, end, radius) / bare)
+    return Fit(start, end, radius, volume(start, end, radius) / bare)
 
 
-def _volume(start: Array, end: Array, radius: float) -> float:
+def volume(start: Array, end: Array, radius: float) -> float:
     """Of a capsule, m³."""
     return math.pi * radius**2 * (float(np.linalg.norm(end - start)) + 4.0 / 3.0 * radius)
 

@@ -51,10 +51,7 @@ def check_fresh(age: float) -> None:
 def checked_torque(torque: Array, n: int, topic: str = "effort_controller/commands") -> Array:
     """Return the torques (n,), N m, after checking them; `topic` is named if they are refused.
 
-    Raises
-    ------
-    InputError
-        If there are not n of them or one is not finite.
+    Raises `InputError` if there are not n of them or one is not finite.
     """
     if torque.shape != (n,):
         raise InputError(f"{topic}: data has {torque.size} values; expected {n}")

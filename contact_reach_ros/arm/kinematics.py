@@ -7,7 +7,7 @@ import functools
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contact_reach_ros.arm.arm import PARALLEL, Arm
+from contact_reach_ros.arm.arm import PARALLEL, Arm, Vector3
 from contact_reach_ros.arm.arrays import Array
 
 
@@ -102,3 +102,9 @@ def tensor_values(matrix: Array) -> tuple[float, float, float, float, float, flo
     """An inertia (3, 3) as (xx, yy, zz, xy, xz, yz)."""
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix.tolist()
     return xx, yy, zz, xy, xz, yz
+
+
+def vector(values: ArrayLike) -> Vector3:
+    """Three numbers as a tuple."""
+    x, y, z = np.asarray(values, dtype=float).tolist()
+    return x, y, z

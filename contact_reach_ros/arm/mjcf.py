@@ -31,12 +31,8 @@ def numbers(values: Iterable[float]) -> str:
 def capsule_names(arm: Arm) -> tuple[str, ...]:
     """Names of the geometries of base and links, in the order of `capsules.shapes`."""
     links = [capsule.link for capsule in (*arm.base_capsules, *arm.capsules)]
-    return tuple(_capsule_name(link, links[:index].count(link)) for index, link in enumerate(links))
-
-
-def _capsule_name(link: int, number: int) -> str:
-    """Of the capsules of a link, counted from 0."""
-    return f"capsule_{link}" + (f"_{number}" if number else "")
+    counts = (links[:index].count(link) for index, link in enumerate(links))
+    return tuple(f"capsule_{link}_{count}".removesuffix("_0") for link, count in zip(links, counts, strict=True))
 
 
 def build_mjcf(
@@ -48,6 +44,8 @@ def build_mjcf(
     fields: Mapping[str, Iterable[float]] | None = None,
 ) -> str:
     """Build the MJCF text of an arm.
+
+    Raises `SettingsError` if the inertia set is unknown.
 
     Parameters
     ----------
@@ -63,11 +61,6 @@ def build_mjcf(
         Pairs of geometries that touch although their types would not.
     fields
         Custom fields by name.
-
-    Raises
-    ------
-    SettingsError
-        If the inertia set is unknown.
     """
     root = Element("mujoco", model=arm.name)
     SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -75,8 +68,8 @@ def build_mjcf(
     SubElement(root, "option", timestep="0.001", integrator="Euler", gravity=numbers(arm.gravity))
     world = SubElement(root, "worldbody")
     body = SubElement(world, "body", name=arm.base_frame if arm.base_frame != _WORLD else f"{_WORLD}_base")
-    for index, capsule in enumerate(arm.base_capsules):
-        body.append(_capsule(capsule, _capsule_name(0, index)))
+    named = list(zip((*arm.base_capsules, *arm.capsules), capsule_names(arm), strict=True))
+    body.extend(_capsule(capsule, geom) for capsule, geom in named if capsule.link == 0)
     inertias = arm.inertias(inertia_set)
     for number, (joint, link, inertia) in enumerate(zip(arm.joints, arm.link_names, inertias, strict=True), 1):
         body = SubElement(body, "body", name=link, pos=numbers(joint.offset), quat=numbers(joint.rotation))
@@ -95,9 +88,7 @@ def build_mjcf(
             range=numbers((joint.lower, joint.upper)),
             armature=repr(joint.armature),
         )
-        on_link = [capsule for capsule in arm.capsules if capsule.link == number]
-        for index, capsule in enumerate(on_link):
-            body.append(_capsule(capsule, _capsule_name(number, index)))
+        body.extend(_capsule(capsule, geom) for capsule, geom in named if capsule.link == number)
     # Not in the tip's body: Brax, which fuses bodies without joints, would round it.
     site = SubElement(body, "site", name=TIP_SITE, pos=numbers(arm.tip_offset))
     flange = SubElement(body, "body", name=arm.tip_frame, pos=numbers(arm.tip_offset))

@@ -10,11 +10,13 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
+from contact_reach_ros.arm.arm import Inertia
 from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.kinematics import tensor_values
+from contact_reach_ros.arm.kinematics import tensor_values, vector
 from contact_reach_ros.arm.mjcf import numbers
 from contact_reach_ros.arm.robot_file import POINTS
-from contact_reach_ros.arm.urdf_tree import TENSOR
+from contact_reach_ros.arm.urdf import add_inertial, add_joint, add_origin
+from contact_reach_ros.arm.urdf_tree import RANGE
 from contact_reach_ros.errors import SettingsError
 
 _SPEED = 1.0
@@ -35,10 +37,7 @@ def robot_of_mjcf(file: Path) -> tuple[Element, list[str]]:
 
     Geometry that touches nothing is visual; floors of the world do not count.
 
-    Raises
-    ------
-    SettingsError
-        If MuJoCo refuses the file.
+    Raises `SettingsError` if MuJoCo refuses the file.
     """
     try:
         # MuJoCo opens no file with another ending, nor one in capitals.
@@ -66,7 +65,10 @@ class _Writer:
         links = [SubElement(self._robot, "link", name=name) for name in self._bodies]
         for body, link in enumerate(links):
             if body:
-                _add_inertial(link, model, body)
+                center, mass = model.body_ipos[body], float(model.body_mass[body])
+                turn = _place(center, model.body_iquat[body]).rotation
+                tensor = tensor_values(turn @ np.diag(model.body_inertia[body]) @ turn.T)
+                add_inertial(link, Inertia(mass, vector(center), tensor))
                 self._add_joints(body)
         for geom in range(model.ngeom):
             self._add_geometry(geom, links[model.geom_bodyid[geom]])
@@ -76,7 +78,7 @@ class _Writer:
                 name = name if name not in self._bodies else f"{name}_site"
                 SubElement(self._robot, "link", name=name)
                 place = _place(model.site_pos[site], model.site_quat[site])
-                self._add_joint(f"{name} mount", "fixed", place, self._bodies[model.site_bodyid[site]], name)
+                add_joint(self._robot, f"{name} mount", "fixed", (self._bodies[model.site_bodyid[site]], name), place)
         return self._robot, [f"limits: velocity {_SPEED:g} rad/s where none is given, since MJCF has none"]
 
     def _add_joints(self, body: int) -> None:
@@ -86,11 +88,11 @@ class _Writer:
         first, count = model.body_jntadr[body], model.body_jntnum[body]
         for joint in range(first, first + count):
             anchor, axis, kind = model.jnt_pos[joint], model.jnt_axis[joint], _KINDS[int(model.jnt_type[joint])]
-            zero = pin.SE3.Identity()
+            place, back = at * pin.SE3(np.eye(3), anchor), -model.qpos0[model.jnt_qposadr[joint]] * axis
             if kind == "revolute":
-                zero = pin.SE3(pin.AngleAxis(-model.qpos0[model.jnt_qposadr[joint]], axis).matrix(), np.zeros(3))
+                place = place * pin.SE3(pin.exp3(back), np.zeros(3))
             elif kind == "prismatic":
-                zero = pin.SE3(np.eye(3), -model.qpos0[model.jnt_qposadr[joint]] * axis)
+                place = place * pin.SE3(np.eye(3), back)
             is_last = joint == first + count - 1 and not anchor.any()
             label = model.joint(joint).name or f"joint_{joint}"
             after = name if is_last else f"{name} after {label}"
@@ -98,18 +100,18 @@ class _Writer:
                 SubElement(self._robot, "link", name=after)
             if kind == "revolute" and not model.jnt_limited[joint]:
                 kind = "continuous"
-            element = self._add_joint(label, kind, at * pin.SE3(np.eye(3), anchor) * zero, before, after)
+            element = add_joint(self._robot, label, kind, (before, after), place)
             SubElement(element, "axis", xyz=numbers(axis))
             SubElement(element, "dynamics", armature=repr(float(model.dof_armature[model.jnt_dofadr[joint]])))
             limits = {"velocity": repr(_SPEED)}
             if model.jnt_limited[joint]:
-                limits |= dict(zip(("lower", "upper"), numbers(model.jnt_range[joint]).split(), strict=True))
+                limits |= dict(zip(RANGE, numbers(model.jnt_range[joint]).split(), strict=True))
             if (effort := self._effort(joint)) is not None:
                 limits["effort"] = repr(effort)
             SubElement(element, "limit", limits)
             at, before = pin.SE3(np.eye(3), -anchor), after
         if before != name:
-            self._add_joint(f"{name} mount", "fixed", at, before, name)
+            add_joint(self._robot, f"{name} mount", "fixed", (before, name), at)
 
     def _effort(self, joint: int) -> float | None:
         """The torque that a joint and its actuators permit, N m; None where nothing limits it."""
@@ -125,21 +127,13 @@ class _Writer:
                 found.append(gear * abs(model.actuator_gainprm[each, 0]) * most)
         return float(min(found)) if found else None
 
-    def _add_joint(self, name: str, kind: str, place: pin.SE3, parent: str, child: str) -> Element:
-        joint = SubElement(self._robot, "joint", name=name, type=kind)
-        _add_origin(joint, place)
-        SubElement(joint, "parent", link=parent)
-        SubElement(joint, "child", link=child)
-        return joint
-
     def _add_geometry(self, geom: int, link: Element) -> None:
         model, kind, size = self._model, int(self._model.geom_type[geom]), self._model.geom_size[geom]
         if kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD) and not model.geom_bodyid[geom]:
             return
         collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
         element = SubElement(link, "collision" if collides else "visual")
-        place = _place(model.geom_pos[geom], model.geom_quat[geom])
-        _add_origin(element, place)
+        add_origin(element, _place(model.geom_pos[geom], model.geom_quat[geom]))
         geometry = SubElement(element, "geometry")
         if kind in _ROUND:
             length = {} if _ROUND[kind] == "sphere" else {"length": repr(2.0 * float(size[1]))}
@@ -161,19 +155,6 @@ def _hull(model: mujoco.MjModel, mesh: int) -> Array:
     # Numbers of vertices and faces, the places of their edges, then the vertices' indices.
     count = model.mesh_graph[graph]
     return vertices[model.mesh_graph[graph + 2 + count : graph + 2 + 2 * count]]
-
-
-def _add_inertial(link: Element, model: mujoco.MjModel, body: int) -> None:
-    turn = _place(np.zeros(3), model.body_iquat[body]).rotation
-    tensor = turn @ np.diag(model.body_inertia[body]) @ turn.T
-    inertial = SubElement(link, "inertial")
-    SubElement(inertial, "origin", xyz=numbers(model.body_ipos[body]))
-    SubElement(inertial, "mass", value=repr(float(model.body_mass[body])))
-    SubElement(inertial, "inertia", dict(zip(TENSOR, map(repr, tensor_values(tensor)), strict=True)))
-
-
-def _add_origin(element: Element, place: pin.SE3) -> None:
-    SubElement(element, "origin", xyz=numbers(place.translation), rpy=numbers(pin.rpy.matrixToRpy(place.rotation)))
 
 
 def _place(position: Array, quaternion: Array) -> pin.SE3:

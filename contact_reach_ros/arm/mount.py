@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import STANDING, Arm, Vector3
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.kinematics import vector
 
 _DIGITS = 12
 """Decimals of gravity: an arm that only turns about the vertical has the same digest on every machine."""
@@ -23,8 +24,7 @@ _HEIGHT = 0.5
 
 def gravity_of(base: Array) -> Vector3:
     """Gravity (3,), m/s², in the axes of a base with the rotation `base` (3, 3) in a world whose z axis points up."""
-    x, y, z = (np.round(base.T @ STANDING, _DIGITS) + 0.0).tolist()
-    return x, y, z
+    return vector(np.round(base.T @ STANDING, _DIGITS) + 0.0)
 
 
 def mounted(angles: Vector3) -> Vector3:
@@ -93,17 +93,19 @@ def standing(arm: Arm) -> Arm:
     frame = scene_frame(arm)
     if not frame.origin.any() and (frame.rotation == np.eye(3)).all():
         return arm
+
+    def inward(point: Vector3) -> Vector3:
+        return vector(frame.inward(np.array(point)))
+
     first, turn = arm.joints[0], Rotation.from_matrix(frame.rotation).inv()
     rotation = (turn * Rotation.from_quat(first.rotation, scalar_first=True)).as_quat(scalar_first=True)
-    placed = dataclasses.replace(first, offset=_inward(frame, first.offset), rotation=tuple(rotation.tolist()))
+    placed = dataclasses.replace(first, offset=inward(first.offset), rotation=tuple(rotation.tolist()))
+    fixed = (dataclasses.replace(each, start=inward(each.start), end=inward(each.end)) for each in arm.base_capsules)
     return dataclasses.replace(
         arm,
         joints=(placed, *arm.joints[1:]),
-        base_capsules=tuple(
-            dataclasses.replace(each, start=_inward(frame, each.start), end=_inward(frame, each.end))
-            for each in arm.base_capsules
-        ),
-        shoulder=_inward(frame, arm.shoulder),
+        base_capsules=tuple(fixed),
+        shoulder=inward(arm.shoulder),
         gravity=(0.0, 0.0, -math.hypot(*arm.gravity)),
         bare=None,
     )
@@ -113,8 +115,3 @@ def _up(arm: Arm) -> Array:
     """Unit vector (3,) against gravity, base frame."""
     up: Array = -np.array(arm.gravity) / math.hypot(*arm.gravity)
     return up + 0.0
-
-
-def _inward(frame: SceneFrame, point: Vector3) -> Vector3:
-    x, y, z = frame.inward(np.array(point)).tolist()
-    return x, y, z

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
-from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.capsule_fit import volume
 from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SettingsError
@@ -23,12 +23,17 @@ _ROUNDING = 1e-6
 _LEAST_SHARE = 1e-3
 """Of the greatest second moment of mass, which the others have at least in a balanced tensor."""
 _POSTURES = 500
-_LIGHT = 50.0
-"""Mass by volume of the capsules, kg/m³, below which the masses are hardly real; robots have 300 to 2000."""
+_LIGHT = 0.05
+"""Mass by volume of the capsules, kg per litre, below which the masses are hardly real; robots have 0.3 to 2."""
 _WIDE = 0.25
 """Radius of gyration by the arm's reach above which an inertia is hardly real; rods of half the reach have 0.15."""
 _ALIKE = 3
 """So many links, if they are most of all, are hardly alike."""
+_BLOCKS = {
+    "limits": ("rad, rad/s, Nm", f"lower < upper, a velocity above 0 and an effort of at least {LEAST_EFFORT:g} Nm"),
+    "inertias": ("kg, m, kg m²", "masses above 0 and moments of inertia of which none exceeds the sum of the others"),
+}
+"""Units and rules of what is refused, by the keys of `ArmOptions`."""
 
 
 @dataclass
@@ -39,58 +44,39 @@ class Faults:
     """The robot's."""
     options: Path
     """The YAML file that the block belongs into."""
-    _texts: list[str] = field(default_factory=list)
-    _limits: dict[str, str] = field(default_factory=dict)
-    _inertias: dict[str, str] = field(default_factory=dict)
+    _found: list[tuple[str, str, str]] = field(default_factory=list)
+    """Key of the block, its entry, and what is wrong."""
 
     def limits(self, joint: str, wrong: Mapping[str, float | None], why: str = "") -> None:
         """Note limits of a joint that are wrong, rad, rad/s, N m, or missing, by their keys."""
         found = ", ".join(f"no {key}" if value is None else f"{key} {value:g}" for key, value in wrong.items())
-        self._texts.append(f"joint '{joint}' has {found}{why}")
-        self._limits[joint] = ", ".join(f"{key}: ..." for key in wrong)
+        self._note("limits", joint, ", ".join(f"{key}: ..." for key in wrong), f"joint '{joint}' has {found}{why}")
 
     def inertia(self, link: str, text: str, values: str) -> None:
         """Note what is wrong with the inertia of a link, and what to put in its place."""
-        self._texts.append(f"link '{link}' has {text}")
-        self._inertias[link] = values
+        self._note("inertias", link, values, f"link '{link}' has {text}")
+
+    def _note(self, key: str, name: str, values: str, text: str) -> None:
+        plain = name.replace("_", "a").isalnum() and not name.isdigit()
+        self._found.append((key, f"  {name if plain else repr(name)}: {{{values}}}", text))
 
     def check(self) -> None:
         """Raise `SettingsError` with all that was noted, if anything was; the message begins with the robot's file."""
-        if not self._texts:
-            return
-        expected = []
-        if self._limits:
-            expected.append(f"lower < upper, a velocity above 0 and an effort of at least {LEAST_EFFORT:g} Nm")
-        if self._inertias:
-            expected.append("masses above 0 and moments of inertia of which none exceeds the sum of the others")
-        lines = [
-            f"{self.file}: {'; '.join(self._texts)}. Expected {', '.join(expected)}: mend the file, or put this, with "
-        ]
-        lines[0] += f"numbers in place of dots, into {self.options}:"
-        for key, entries, units in (
-            ("limits", self._limits, "rad, rad/s, Nm"),
-            ("inertias", self._inertias, "kg, m, kg m²"),
-        ):
-            if entries:
-                lines += [f"{key}: # {units}", *(f"  {_quoted(name)}: {{{each}}}" for name, each in entries.items())]
-        raise SettingsError("\n".join(lines))
-
-
-def _quoted(name: str) -> str:
-    return name if name.replace("_", "a").isalnum() and not name.isdigit() else f"'{name}'"
+        expected, lines = [], []
+        for key, (units, rule) in _BLOCKS.items():
+            if entries := [entry for of, entry, _ in self._found if of == key]:
+                expected.append(rule)
+                lines += [f"{key}: # {units}", *entries]
+        if lines:
+            wrong = "; ".join(text for _, _, text in self._found)
+            mend = f"mend the file, or put this, with numbers in place of dots, into {self.options}:"
+            raise SettingsError("\n".join([f"{self.file}: {wrong}. Expected {', '.join(expected)}: {mend}", *lines]))
 
 
 def check_inertia(faults: Faults, link: str, lumped: pin.Inertia, own: Mapping[str, pin.Inertia]) -> None:
-    """Note that a moving link has no mass, or moments of inertia that no body has.
+    """Note that a link has no mass, or moments of inertia that no body has: `lumped`, with all that is fixed to it.
 
-    Parameters
-    ----------
-    faults
-        Gets what is wrong.
-    link, lumped
-        Name of the link that a joint moves, and its inertia with all that is fixed to it.
-    own
-        Inertias of the link and of those that are fixed to it, by name, each in its frame in the file.
+    `own`: inertias of the link and of those that are fixed to it, by name, each in its frame in the file.
     """
     if not lumped.mass > 0.0:
         faults.inertia(link, "no mass", "mass: ..., center: [x, y, z], tensor: [xx, yy, zz, xy, xz, yz]")
@@ -128,18 +114,18 @@ def _listed(values: Array) -> str:
     return f"[{', '.join(f'{value:.6g}' for value in np.where(np.abs(values) < 1e-12, 0.0, values))}]"
 
 
-def check_weight(faults: Faults, arm: Arm) -> None:
+def check_weight(faults: Faults, model: RobotModel) -> None:
     """Note the joints that cannot hold the arm's weight in its home posture."""
-    model = RobotModel(arm)
+    arm = model.arm
     for joint, torque in zip(arm.joints, np.abs(model.gravity_at(np.array(arm.home))), strict=True):
         if torque > joint.torque_limit:
             why = f" Nm, less than the {torque:.3g} Nm that gravity needs at home"
             faults.limits(joint.name, {"effort": joint.torque_limit}, why)
 
 
-def doubts(arm: Arm) -> list[str]:
+def doubts(model: RobotModel) -> list[str]:
     """What is hardly that of a real arm, in words: efforts, masses and inertias."""
-    model, inertias = RobotModel(arm), arm.inertias()
+    arm, inertias = model.arm, model.arm.inertias()
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSTURES, arm.n))
     most = np.max([np.abs(model.gravity_at(q)) for q in postures], axis=0)
     found = [
@@ -149,11 +135,9 @@ def doubts(arm: Arm) -> list[str]:
         if torque > joint.torque_limit
     ]
     mass = sum(inertia.mass for inertia in inertias)
-    volume = sum(_volume(shape.start, shape.end, shape.radius) for shape in arm.capsules)
-    if mass < _LIGHT * volume:
-        found.append(
-            f"inertias: the moving links weigh {mass:.3g} kg in {1e3 * volume:.3g} litres; these are placeholders"
-        )
+    litres = 1e3 * sum(volume(np.array(shape.start), np.array(shape.end), shape.radius) for shape in arm.capsules)
+    if mass < _LIGHT * litres:
+        found.append(f"inertias: the moving links weigh {mass:.3g} kg in {litres:.3g} litres; these are placeholders")
     for what, values in (("masses", [each.mass for each in inertias]), ("tensors", [each.tensor for each in inertias])):
         count = Counter(values).most_common(1)[0][1]
         if count >= _ALIKE and count > 0.5 * arm.n:
@@ -167,8 +151,3 @@ def doubts(arm: Arm) -> list[str]:
     if wide:
         found.append(f"inertias: radii of gyration are too large for a reach of {arm.reach:g} m: {', '.join(wide)}")
     return found
-
-
-def _volume(start: Sequence[float], end: Sequence[float], radius: float) -> float:
-    """Of a capsule, m³."""
-    return float(np.pi * radius**2 * (np.linalg.norm(np.subtract(end, start)) + 4.0 / 3.0 * radius))

@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
@@ -22,22 +21,13 @@ _PACKAGED = re.compile("(?:package://|.*/share/)([^/]+)/(.+)")
 _PREFIX_PATHS = ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
 
 
-class RobotFile(NamedTuple):
-    """What a file says of a robot."""
+def read_robot_file(file: Path, options: ArmOptions) -> tuple[Element, list[str]]:
+    """The <robot> of a URDF, an expanded xacro file or a converted MJCF, and what the file cannot say, in words.
 
-    robot: Element
-    """The <robot> of a URDF."""
-    assumed: list[str]
-    """What the file cannot say, in words."""
+    The content decides how a file is read, whatever its ending.
 
-
-def read_robot_file(file: Path, options: ArmOptions) -> RobotFile:
-    """Read a URDF, expand a xacro file or convert an MJCF; the content decides, whatever the file's ending.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, is none of these, or `xacro` is not installed; the message names the file.
+    Raises `SettingsError` if the file cannot be read, is none of these, or `xacro` is not installed; the message names
+    the file.
     """
     content = _content(file)
     root = _parsed(content, file)
@@ -45,12 +35,12 @@ def read_robot_file(file: Path, options: ArmOptions) -> RobotFile:
         # MuJoCo is loaded for its own files only.
         from contact_reach_ros.arm.mjcf_reader import robot_of_mjcf
 
-        return RobotFile(*robot_of_mjcf(file))
+        return robot_of_mjcf(file)
     if b"${" in content or b"$(" in content or any(element.tag.startswith("xacro:") for element in root.iter()):
         root = _parsed(_expanded(root, file, options), file)
     if root.tag != "robot":
         raise SettingsError(f"{file}: its root is <{root.tag}>; expected <robot> (URDF, xacro) or <mujoco> (MJCF)")
-    return RobotFile(root, [])
+    return root, []
 
 
 def _content(file: Path) -> bytes:

@@ -84,18 +84,13 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
 
     In place of `gravity` it may have `mount`, as `ArmOptions` have it.
 
-    Raises
-    ------
-    SettingsError
-        If a key is unknown or missing, or a value of the wrong type, or there is not one of something for each joint;
-        the message begins with `source`.
+    Raises `SettingsError` if a key is unknown or missing, or a value of the wrong type, or there is not one of
+    something for each joint; the message begins with `source`.
     """
+    content = dict(content)
     if "base_capsule" in content:
         # Of before there were several, read until version 0.4.
-        content = {key: value for key, value in content.items() if key != "base_capsule"} | {
-            "base_capsules": [content["base_capsule"]]
-        }
-    content = dict(content)
+        content["base_capsules"] = [content.pop("base_capsule")]
     if MOUNT in content:
         if "gravity" in content:
             raise SettingsError(f"{source}: has {MOUNT} and gravity, which follows from it; expected one of them")
@@ -121,10 +116,7 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
 def gravity_in(options: ArmOptions, source: str) -> Vector3 | None:
     """Gravity in the base frame, m/s², as `mount` has it; None without.
 
-    Raises
-    ------
-    SettingsError
-        If the angles are no rotation in rad; the message begins with `source`.
+    Raises `SettingsError` if the angles are no rotation in rad; the message begins with `source`.
     """
     if options.mount is None:
         return None
@@ -139,10 +131,7 @@ def gravity_in(options: ArmOptions, source: str) -> Vector3 | None:
 def check_lengths(lists: Mapping[str, Sequence[Any]], n: int, source: str) -> None:
     """Check that lists by key have a value for each of n joints.
 
-    Raises
-    ------
-    SettingsError
-        If one has not; the message begins with `source`.
+    Raises `SettingsError` if one has not; the message begins with `source`.
     """
     for key, values in lists.items():
         if len(values) != n:
@@ -169,10 +158,8 @@ def table_text(arm: Arm, digits: int = 6) -> str:
 def converted(content: Mapping[str, Any], kind: type[T], source: str) -> T:
     """The content of a file as a dataclass.
 
-    Raises
-    ------
-    SettingsError
-        If a key is unknown or missing, or a value of the wrong type; the message begins with `source`.
+    Raises `SettingsError` if a key is unknown or missing, or a value of the wrong type; the message begins with
+    `source`.
     """
     known = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
     for key in content:

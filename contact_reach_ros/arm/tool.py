@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arm import Arm, Capsule, Inertia, Quaternion, Vector3
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.kinematics import rotation_from_quaternion, tensor_matrix
+from contact_reach_ros.arm.kinematics import rotation_from_quaternion, tensor_matrix, tensor_values
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Settings, setting
 
@@ -99,9 +98,8 @@ def attach(arm: Arm, tool: Tool) -> Arm:
     turn, flange = rotation_from_quaternion(arm.tip_rotation), np.array(arm.tip_offset)
     tip = _rounded(flange + turn @ tool.position)
     is_turned = any(tool.flange_to_tip[3:])
-    carried = Inertia(
-        tool.mass, _rounded(flange + turn @ tool.center), _six(turn @ tensor_matrix(tool.inertia) @ turn.T)
-    )
+    tensor = _rounded(tensor_values(turn @ tensor_matrix(tool.inertia) @ turn.T))
+    carried = Inertia(tool.mass, _rounded(flange + turn @ tool.center), tensor)
     inertia_sets = {
         name: (*inertias[:-1], _together(inertias[-1], carried)) if tool.mass else inertias
         for name, inertias in arm.inertia_sets.items()
@@ -126,12 +124,7 @@ def _together(first: Inertia, second: Inertia) -> Inertia:
     for body in (first, second):
         lever = np.subtract(body.center, center)
         tensor += tensor_matrix(body.tensor) + body.mass * (lever @ lever * np.eye(3) - np.outer(lever, lever))
-    return Inertia(round(mass, _DIGITS), _rounded(center), _six(tensor))
-
-
-def _six(tensor: Array) -> tuple[float, float, float, float, float, float]:
-    """(xx, yy, zz, xy, xz, yz) of a symmetric matrix (3, 3)."""
-    return _rounded([*tensor.diagonal(), tensor[0, 1], tensor[0, 2], tensor[1, 2]])
+    return Inertia(round(mass, _DIGITS), _rounded(center), _rounded(tensor_values(tensor)))
 
 
 def _rounded(values: ArrayLike) -> Any:

@@ -9,11 +9,11 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import pinocchio as pin
 
-from contact_reach_ros.arm.arm import Arm, Capsule, Vector3
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import Arm, Capsule, Inertia
 from contact_reach_ros.arm.kinematics import rotation_from_quaternion
 from contact_reach_ros.arm.mjcf import numbers
 from contact_reach_ros.arm.mount import scene_frame, tilt
+from contact_reach_ros.arm.urdf_tree import LIMITS, TENSOR
 
 
 def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
@@ -22,60 +22,60 @@ def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
     Readers of URDFs let gravity act along -z of the root. That is the base, or for a tilted one a link without a shape
     that the base is fixed to.
 
-    Raises
-    ------
-    SettingsError
-        If the inertia set is unknown.
+    Raises `SettingsError` if the inertia set is unknown.
     """
     robot = Element("robot", name=arm.name)
+    parent = arm.base_frame
     if tilt(arm):
-        root = f"{arm.base_frame}_upright"
+        root = f"{parent}_upright"
         SubElement(robot, "link", name=root)
         upright = scene_frame(arm).rotation.T
-        _fix(robot, f"{arm.base_frame}_mount", root, arm.base_frame, (0.0, 0.0, 0.0), upright)
-    base = SubElement(robot, "link", name=arm.base_frame)
+        add_joint(robot, f"{parent}_mount", "fixed", (root, parent), pin.SE3(upright, np.zeros(3)))
+    base = SubElement(robot, "link", name=parent)
     for capsule in arm.base_capsules:
         _add_capsule(base, capsule)
-    parent = arm.base_frame
     inertias = arm.inertias(inertia_set)
     for number, (joint, name, inertia) in enumerate(zip(arm.joints, arm.link_names, inertias, strict=True), 1):
         link = SubElement(robot, "link", name=name)
-        inertial = SubElement(link, "inertial")
-        SubElement(inertial, "origin", xyz=numbers(inertia.center), rpy="0 0 0")
-        SubElement(inertial, "mass", value=repr(inertia.mass))
-        keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-        SubElement(inertial, "inertia", {key: repr(value) for key, value in zip(keys, inertia.tensor, strict=True)})
+        add_inertial(link, inertia)
         for capsule in arm.capsules:
             if capsule.link == number:
                 _add_capsule(link, capsule)
-        element = SubElement(robot, "joint", name=joint.name, type="revolute")
-        rotation = rotation_from_quaternion(joint.rotation)
-        SubElement(element, "origin", xyz=numbers(joint.offset), rpy=numbers(pin.rpy.matrixToRpy(rotation)))
-        SubElement(element, "parent", link=parent)
-        SubElement(element, "child", link=name)
+        place = pin.SE3(rotation_from_quaternion(joint.rotation), np.array(joint.offset, float))
+        element = add_joint(robot, joint.name, "revolute", (parent, name), place)
         SubElement(element, "axis", xyz="0 0 1")
-        limits = {
-            "lower": repr(joint.lower),
-            "upper": repr(joint.upper),
-            "velocity": repr(joint.velocity_limit),
-            "effort": repr(float(joint.torque_limit)),
-        }
-        SubElement(element, "limit", limits)
+        limits = joint.lower, joint.upper, joint.velocity_limit, float(joint.torque_limit)
+        SubElement(element, "limit", dict(zip(LIMITS, map(repr, limits), strict=True)))
         parent = name
     SubElement(robot, "link", name=arm.tip_frame)
-    turn = rotation_from_quaternion(arm.tip_rotation)
+    place = pin.SE3(rotation_from_quaternion(arm.tip_rotation), np.array(arm.tip_offset, float))
     name = f"{arm.tip_frame}_joint"
-    _fix(robot, name if name not in arm.joint_names else f"{name}_fixed", parent, arm.tip_frame, arm.tip_offset, turn)
+    name = name if name not in arm.joint_names else f"{name}_fixed"
+    add_joint(robot, name, "fixed", (parent, arm.tip_frame), place)
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode")
 
 
-def _fix(robot: Element, name: str, parent: str, child: str, offset: Vector3, turn: Array) -> None:
-    """Add a joint that does not move, with the place of the child, m, and its rotation (3, 3) in the parent."""
-    joint = SubElement(robot, "joint", name=name, type="fixed")
-    SubElement(joint, "origin", xyz=numbers(offset), rpy=numbers(pin.rpy.matrixToRpy(turn)))
-    SubElement(joint, "parent", link=parent)
-    SubElement(joint, "child", link=child)
+def add_joint(robot: Element, name: str, kind: str, links: tuple[str, str], place: pin.SE3) -> Element:
+    """Add a joint between two links, with the place of the second in the first."""
+    joint = SubElement(robot, "joint", name=name, type=kind)
+    add_origin(joint, place)
+    SubElement(joint, "parent", link=links[0])
+    SubElement(joint, "child", link=links[1])
+    return joint
+
+
+def add_inertial(link: Element, inertia: Inertia) -> None:
+    """Add mass and inertia to a link."""
+    inertial = SubElement(link, "inertial")
+    add_origin(inertial, pin.SE3(np.eye(3), np.array(inertia.center, float)))
+    SubElement(inertial, "mass", value=repr(inertia.mass))
+    SubElement(inertial, "inertia", dict(zip(TENSOR, map(repr, inertia.tensor), strict=True)))
+
+
+def add_origin(element: Element, place: pin.SE3) -> None:
+    """Say where something is."""
+    SubElement(element, "origin", xyz=numbers(place.translation), rpy=numbers(pin.rpy.matrixToRpy(place.rotation)))
 
 
 def _add_capsule(link: Element, capsule: Capsule) -> None:

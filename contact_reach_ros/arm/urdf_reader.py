@@ -1,18 +1,15 @@
-"""Arms in files: a URDF, xacro or MJCF file with the few choices that it leaves open, or a table.
-
-Pinocchio reads frames and inertias, and lumps what is fixed.
-"""
+"""Arms in files: a URDF, xacro or MJCF file with the few choices that it leaves open, or a table."""
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import pinocchio as pin
@@ -22,24 +19,27 @@ from contact_reach_ros.arm import assumptions
 from contact_reach_ros.arm.arm import Arm, Inertia, Joint
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsule_fit import Fit, frame_about
-from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
-from contact_reach_ros.arm.link_capsules import Part, link_capsules, placement, vector
-from contact_reach_ros.arm.mjcf import numbers
+from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values, vector
+from contact_reach_ros.arm.link_capsules import Part, link_capsules
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.mount import gravity_of, in_words
 from contact_reach_ros.arm.plausibility import LEAST_EFFORT, Faults, check_inertia, check_weight, doubts
-from contact_reach_ros.arm.robot_file import DESCRIPTIONS, read_robot_file
+from contact_reach_ros.arm.robot_file import DESCRIPTIONS, find_mesh, read_robot_file
 from contact_reach_ros.arm.table import ARMATURE, ArmOptions, arm_of_table, check_lengths, converted, gravity_in
 from contact_reach_ros.arm.urdf_tree import (
     LIMITS,
+    RANGE,
     TENSOR,
     TURNING,
     UrdfJoint,
     UrdfTree,
     check_numbers,
     numbers_in,
+    placement,
     tree_of,
 )
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.resources import VERSION, kept
 from contact_reach_ros.settings import read_yaml
 
 MAX_JOINTS = 7
@@ -54,8 +54,6 @@ arm."""
 _ROUNDING = 1e-10
 _DIGITS = 12
 """Decimals of joints' places, m."""
-_LINK = "link "
-"""Prefix of links for Pinocchio, which finds frames by name: neither joints nor its universe have such a name."""
 
 
 class Reading(NamedTuple):
@@ -74,17 +72,20 @@ def read_arm(file: Path, options: ArmOptions | None = None, options_file: Path |
     """Make an arm of a URDF, xacro or MJCF file; `options_file` is where errors say that options belong.
 
     Each link's frame is the URDF's, turned so that the joint turns about its z axis; links joined by fixed joints are
-    one link.
+    one link. What has been read before is kept in the user's cache.
 
-    Raises
-    ------
-    SettingsError
-        If the file is not that of a serial arm with revolute joints, or lacks something; the message names all links
-        or joints, what was expected, and the key of `ArmOptions` that mends it.
+    Raises `SettingsError` if the file is not that of a serial arm with revolute joints, or lacks something; the message
+    names all links or joints, what was expected, and the key of `ArmOptions` that mends it.
     """
     options = options or ArmOptions()
-    found = read_robot_file(file, options)
-    return _Reader(tree_of(found.robot, file), file, options, found.assumed, options_file).read()
+    robot, assumed = read_robot_file(file, options)
+    reader = _Reader(tree_of(robot, file), file, options, assumed, options_file)
+    # What is read, and what reads it: meshes that capsules may be fitted to, and the modules of this folder.
+    shapes = (link.findall("collision") or link.findall("visual") for link in robot.findall("link"))
+    names = dict.fromkeys(mesh.get("filename", "") for each in shapes for shape in each for mesh in shape.iter("mesh"))
+    files = [*(find_mesh(name, file, options.packages) for name in names), *sorted(Path(__file__).parent.glob("*.py"))]
+    contents = [path and hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
+    return kept((VERSION, file, options, assumed, ElementTree.tostring(robot), contents), reader.read)
 
 
 class _Reader:
@@ -109,24 +110,22 @@ class _Reader:
                     f"{self.file}: {key} = '{link}' is no link; expected one of {', '.join(tree.links)}"
                 )
         moving = self._moving(base, tip)
-        given = options.armature
-        armature = given if isinstance(given, tuple) else tuple(_armature(joint, given) for joint in moving)
+        # As the description has it, unless it is given for all joints or each.
+        own = [numbers_in(joint.element, "dynamics", ("armature",)).get("armature", ARMATURE) for joint in moving]
+        given = own if options.armature is None else options.armature
+        armature = given if isinstance(given, Sequence) else [given] * len(moving)
         lists: dict[str, Sequence[float]] = {f"thresholds: {key}": list_ for key, list_ in options.thresholds.items()}
         lists |= {"armature": armature} | ({} if options.home is None else {"home": options.home})
         check_lengths(lists, len(moving), str(self.file))
-        model = self._model(moving)
-        parts = _parts(model, base, moving)
+        parts = self._parts(base, moving)
         joints, inertias = [], []
-        for number, (joint, own_armature) in enumerate(zip(moving, armature, strict=True), 1):
-            place = parts[number - 1].turn.actInv(model.jointPlacements[number]) * parts[number].turn
-            joints.append(self._joint(joint, place, own_armature))
-            inertias.append(_inertia(parts[number], model.inertias[number]))
-            own = {name: each for name in parts[number].places if (each := self._own_inertia(name)) is not None}
-            check_inertia(self.faults, parts[number].link, model.inertias[number], own)
+        for joint, part, own_armature in zip(moving, parts[1:], armature, strict=True):
+            joints.append(self._joint(joint, part.mount, own_armature))
+            inertias.append(self._inertia(part))
         self.faults.check()
         tip_place = parts[-1].places[tip]
         self._show_visuals(parts)
-        found = link_capsules(tree.links, self.file, options, parts, joints[0])
+        found = link_capsules(tree.links, self.file, options, parts)
         self.assumed += [f"capsules: none on {link}, which has no collision geometry" for link in found.bare]
         arm = Arm(
             name=options.name or tree.name,
@@ -143,14 +142,15 @@ class _Reader:
             reach=0.0,
             home=tuple(0.5 * (joint.lower + joint.upper) for joint in joints),
             defaults={},
-            gravity=gravity_in(options, str(self.file)) or gravity_of(parts[0].turn.rotation),
+            gravity=gravity_in(options, str(self.file)) or gravity_of(parts[0].places[tree.root].rotation.T),
         )
         if options.mount is None:
             self.assumed.append(f"mount: {tree.root} stands upright: {in_words(arm)}")
         arm = self._completed(arm)
-        check_weight(self.faults, arm)
+        robot = RobotModel(arm)
+        check_weight(self.faults, robot)
         self.faults.check()
-        return Reading(arm, found.fits, self.assumed, doubts(arm))
+        return Reading(arm, found.fits, self.assumed, doubts(robot))
 
     def _completed(self, arm: Arm) -> Arm:
         """The arm with shoulder, reach, home and thresholds."""
@@ -241,40 +241,43 @@ class _Reader:
             )
         return moving
 
-    def _model(self, moving: Sequence[UrdfJoint]) -> pin.Model:
-        """What Pinocchio reads of all links; all joints but the moving ones are held."""
-        robot, held = Element("robot", name=self.tree.name), {}
-        waiting = [self.tree.root]
-        while waiting:
-            name = waiting.pop()
-            self._add_link(robot, name)
-            for joint in self.tree.below(name):
-                waiting.append(joint.child)
-                # Limits are checked elsewhere; joints of other types are only held, at 0 as a rule.
-                kind = joint.kind if joint.kind in ("fixed", "prismatic") else "revolute"
-                label = f"joint of {joint.child}"
-                copied = SubElement(robot, "joint", name=label, type=kind)
-                copied.extend(joint.element.findall("origin"))
-                copied.extend(joint.element.findall("axis") if kind != "fixed" else ())
-                SubElement(copied, "parent", link=_LINK + name)
-                SubElement(copied, "child", link=_LINK + joint.child)
-                SubElement(copied, "limit", dict.fromkeys(LIMITS, "0"))
-                if joint not in moving and kind != "fixed":
-                    held[label] = self._held_position(joint)
-        model = pin.buildModelFromXML(ElementTree.tostring(robot, encoding="unicode"))
-        q = pin.neutral(model)
-        for name, position in held.items():
-            q[model.idx_qs[model.getJointId(name)]] = position
-        return pin.buildReducedModel(model, [model.getJointId(name) for name in held], q)
+    def _parts(self, base: str, moving: Sequence[UrdfJoint]) -> list[Part]:
+        """The base and the moving links, each with the links that are fixed to it; all other joints are held."""
+        tree, parts = self.tree, [Part(base, pin.SE3.Identity(), {})]
 
-    def _add_link(self, robot: Element, name: str) -> None:
-        """Add a link with its inertia."""
-        link, inertia = SubElement(robot, "link", name=_LINK + name), self._own_inertia(name)
-        if inertia is not None:
-            inertial = SubElement(link, "inertial")
-            SubElement(inertial, "origin", xyz=numbers(inertia.lever))
-            SubElement(inertial, "mass", value=repr(inertia.mass))
-            SubElement(inertial, "inertia", dict(zip(TENSOR, map(repr, tensor_values(inertia.inertia)), strict=True)))
+        def add(link: str, part: Part, at: pin.SE3) -> None:
+            part.places[link] = at
+            for joint in tree.below(link):
+                if joint in moving:
+                    turn = pin.SE3(frame_about(joint.axis), np.zeros(3))
+                    parts.append(Part(joint.child, at * placement(joint.element.find("origin")) * turn, {}))
+                    add(joint.child, parts[-1], turn.inverse())
+                else:
+                    add(joint.child, part, at * self._held_place(joint))
+
+        at = pin.SE3.Identity()
+        for joint in tree.chain(tree.root, base) or []:
+            at = at * self._held_place(joint)
+        add(tree.root, parts[0], at.inverse())
+        return parts
+
+    def _held_place(self, joint: UrdfJoint) -> pin.SE3:
+        """Where the link of a joint that is held stands in the link before."""
+        place = placement(joint.element.find("origin"))
+        if joint.kind == "fixed":
+            return place
+        way = self._held_position(joint) * joint.axis
+        moved = pin.SE3(np.eye(3), way) if joint.kind == "prismatic" else pin.SE3(pin.exp3(way), np.zeros(3))
+        return place * moved
+
+    def _inertia(self, part: Part) -> Inertia:
+        """Of a moving link with all that is fixed to it."""
+        own = {name: each for name in part.places if (each := self._own_inertia(name)) is not None}
+        lumped = pin.Inertia.Zero()
+        for name, each in own.items():
+            lumped += part.places[name].act(each)
+        check_inertia(self.faults, part.link, lumped, own)
+        return Inertia(float(lumped.mass), vector(lumped.lever), tensor_values(lumped.inertia))
 
     def _own_inertia(self, name: str) -> pin.Inertia | None:
         """The inertia of a link in its frame in the file: the given one, or the file's; None without a mass."""
@@ -291,8 +294,7 @@ class _Reader:
     def _is_held(self, joint: UrdfJoint) -> bool:
         """Whether the options hold a joint, or the one that it mimics."""
         mimicked = joint.mimicked()
-        held = joint.name in self.options.fixed
-        return held or (mimicked is not None and self._is_held(self.tree.joints[mimicked[0]]))
+        return joint.name in self.options.fixed or bool(mimicked and self._is_held(self.tree.joints[mimicked[0]]))
 
     def _held_position(self, joint: UrdfJoint) -> float:
         """Position at which a joint is held, rad or m: as the options have it, as its leader's, or the nearest to 0."""
@@ -302,7 +304,7 @@ class _Reader:
         if mimicked := joint.mimicked():
             leader, multiplier, offset = mimicked
             return multiplier * self._held_position(self.tree.joints[leader]) + offset
-        limits = {**joint.limits(), **self.options.limits.get(joint.name, {})}
+        limits = {**joint.limits()[0], **self.options.limits.get(joint.name, {})}
         position = min(max(0.0, limits.get("lower", -math.inf)), limits.get("upper", math.inf))
         assumption = f"fixed: {joint.name} at {position:g}, since it is not between base and tip"
         self.assumed += [assumption] * (assumption not in self.assumed)
@@ -310,18 +312,13 @@ class _Reader:
 
     def _joint(self, joint: UrdfJoint, place: pin.SE3, armature: float) -> Joint:
         given = self.options.limits.get(joint.name, {})
-        limits = {**joint.limits(), **given}
-        if joint.is_endless and not {"lower", "upper"} & set(given):
-            self.assumed.append(f"limits: {joint.name}, which is continuous, turns once to either side")
-        elif joint.soft_limits and not joint.soft_limits.keys() <= set(given):
-            self.assumed.append(
-                f"limits: {joint.name} from {limits['lower']:g} to {limits['upper']:g} rad, its soft ones"
-            )
+        limits, remark = joint.limits()
+        limits |= given
+        if remark and not given.keys() & set(RANGE):
+            self.assumed.append(f"limits: {joint.name}{remark}")
         lower, upper, velocity, effort = (limits.get(key, math.nan) for key in LIMITS)
-        accepted = {"lower": lower < upper, "upper": lower < upper, "velocity": velocity > 0.0}
-        accepted["effort"] = effort >= LEAST_EFFORT
-        wrong = {key: limits.get(key) for key in LIMITS if not accepted[key]}
-        if wrong:
+        accepted = (lower < upper, lower < upper, velocity > 0.0, effort >= LEAST_EFFORT)
+        if wrong := {key: limits.get(key) for key, is_right in zip(LIMITS, accepted, strict=True) if not is_right}:
             self.faults.limits(joint.name, wrong)
         # Without the rounding errors of a base that is turned about the vertical.
         offset, turn = vector(np.round(place.translation, _DIGITS)), _quaternion(place.rotation)
@@ -349,31 +346,6 @@ class _Reader:
             )
 
 
-def _parts(model: pin.Model, base: str, moving: Sequence[UrdfJoint]) -> list[Part]:
-    """The base and the moving links, each with the links that are fixed to it."""
-    parts = [Part(base, model.frames[model.getFrameId(_LINK + base)].placement.copy(), {})]
-    for number, joint in enumerate(moving, 1):
-        axis = model.joints[number].createData().S[3:]
-        parts.append(Part(joint.child, pin.SE3(frame_about(axis), np.zeros(3)), {}))
-    for frame in model.frames:
-        if frame.type == pin.FrameType.BODY:
-            part = parts[frame.parentJoint]
-            part.places[frame.name.removeprefix(_LINK)] = part.turn.actInv(frame.placement)
-    return parts
-
-
-def _inertia(part: Part, lumped: pin.Inertia) -> Inertia:
-    """Of a link with all that is fixed to it, in its turned frame; `lumped`: in its own."""
-    turned = part.turn.actInv(lumped)
-    return Inertia(float(turned.mass), vector(turned.lever), tensor_values(turned.inertia))
-
-
-def _armature(joint: UrdfJoint, given: float | None) -> float:
-    """Of a joint, kg m²: the given one, or what its description says."""
-    own = numbers_in(joint.element, "dynamics", ("armature",)).get("armature", ARMATURE)
-    return own if given is None else given
-
-
 def _grips(joint: UrdfJoint) -> bool:
     return bool(_GRIPPER.search(f"{joint.name} {joint.child}")) or "gripper" in joint.name.lower()
 
@@ -390,11 +362,8 @@ def read_arm_file(file: Path) -> Reading:
 
     Options are in a YAML file beside the robot's file, by default of the same name.
 
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, has an unknown key, or is not the description of a serial arm; the message names
-        file and key.
+    Raises `SettingsError` if the file cannot be read, has an unknown key, or is not the description of a serial arm;
+    the message names file and key.
     """
     if file.suffix.lower() in DESCRIPTIONS:
         beside = _beside(file, _YAML)

@@ -10,19 +10,23 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
+import numpy as np
+import pinocchio as pin
+
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.errors import SettingsError
 
 TURNING = ("revolute", "continuous")
 """Types of joints that an arm can have."""
-_RANGE = ("lower", "upper")
-LIMITS = (*_RANGE, "velocity", "effort")
+RANGE = ("lower", "upper")
+LIMITS = (*RANGE, "velocity", "effort")
 TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _SIZES = ("radius", "length", "size")
 _COUNTS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3}
 """Attributes with several numbers."""
-_SOFT = {"lower": "soft_lower_limit", "upper": "soft_upper_limit"}
+_SOFT = ("soft_lower_limit", "soft_upper_limit")
 _MIMIC = {"multiplier": 1.0, "offset": 0.0}
-_NUMBERS = {*_COUNTS, *LIMITS, *TENSOR, *_SIZES, *_SOFT.values(), *_MIMIC, "value"}
+_NUMBERS = {*_COUNTS, *LIMITS, *TENSOR, *_SIZES, *_SOFT, *_MIMIC, "value"}
 _READ = ("inertial", "collision", "origin", "axis", "limit", "safety_controller", "mimic")
 """Elements of links and joints that an arm is made of."""
 _ENDLESS = {"lower": 1e3, "upper": 1e3, "velocity": 1e3, "effort": 1e5}
@@ -40,38 +44,33 @@ class UrdfJoint(NamedTuple):
     element: Element
 
     @property
-    def is_endless(self) -> bool:
-        """Whether the joint is continuous, or its range is endless to one side."""
-        found = numbers_in(self.element, "limit", LIMITS)
-        return self.kind == "continuous" or any(abs(found.get(key, 0.0)) >= _ENDLESS[key] for key in _RANGE)
+    def axis(self) -> Array:
+        """Unit vector (3,) in the frame of the child."""
+        axis = vector_in(self.element.find("axis"), "xyz", "1 0 0")
+        return axis / float(np.linalg.norm(axis))
 
-    @property
-    def soft_limits(self) -> dict[str, float]:
-        """Ends of the range, rad or m, that a safety controller makes narrower, as far as some range is left."""
-        found = numbers_in(self.element, "limit", LIMITS)
-        lower, upper = (found.get(key, 0.0) for key in _RANGE)
-        soft = numbers_in(self.element, "safety_controller", _SOFT.values())
-        low, high = max(lower, soft.get(_SOFT["lower"], lower)), min(upper, soft.get(_SOFT["upper"], upper))
-        if self.kind == "continuous" or not low < high:
-            return {}
-        return {key: new for key, new, old in (("lower", low, lower), ("upper", high, upper)) if new != old}
+    def limits(self) -> tuple[dict[str, float], str]:
+        """Limits in the file by `LIMITS`, rad, rad/s, N m, without those that stand for unknown ones, and a remark.
 
-    def limits(self) -> dict[str, float]:
-        """Limits in the file by `LIMITS`, rad, rad/s, N m, without those that stand for unknown ones.
-
-        These are an empty range, and a speed or effort of zero or without end. An endless range is one turn to either
-        side, and soft limits count.
+        Unknown are an empty range, and a speed or effort of zero or without end. An endless range is one turn to either
+        side, and a safety controller makes it narrower, as far as some is left; the remark says so.
         """
-        found = numbers_in(self.element, "limit", LIMITS)
+        found, remark = numbers_in(self.element, "limit", LIMITS), ""
         if self.kind == "continuous":
             found |= {"lower": -math.inf, "upper": math.inf}
-        if found.get("lower", 0.0) == found.get("upper", 0.0):
-            found = {key: value for key, value in found.items() if key not in _RANGE}
-        found |= self.soft_limits
-        for key in _RANGE:
+        hard = found.get("lower", 0.0), found.get("upper", 0.0)
+        if hard[0] == hard[1]:
+            found = {key: value for key, value in found.items() if key not in RANGE}
+        soft = numbers_in(self.element, "safety_controller", _SOFT)
+        low, high = max(hard[0], soft.get(_SOFT[0], hard[0])), min(hard[1], soft.get(_SOFT[1], hard[1]))
+        if self.kind != "continuous" and low < high and (low, high) != hard:
+            found |= {"lower": low, "upper": high}
+            remark = f" from {low:g} to {high:g} rad, its soft ones"
+        for key in RANGE:
             if abs(found.get(key, 0.0)) >= _ENDLESS[key]:
                 found[key] = math.copysign(_TURN, found[key])
-        return {key: value for key, value in found.items() if key in _RANGE or 0.0 < value < _ENDLESS[key]}
+                remark = ", which is continuous, turns once to either side"
+        return {key: value for key, value in found.items() if key in RANGE or 0.0 < value < _ENDLESS[key]}, remark
 
     def mimicked(self) -> tuple[str, float, float] | None:
         """The joint that this one follows, with factor and offset, rad or m; None if it moves on its own."""
@@ -98,8 +97,8 @@ class UrdfTree:
         return next(name for name in self.links if name not in self.above)
 
     def below(self, link: str) -> list[UrdfJoint]:
-        """The joints that begin at a link."""
-        return [joint for joint in self.above.values() if joint.parent == link]
+        """The joints that begin at a link, in the order of the links that they move."""
+        return [self.above[child] for child in sorted(self.above) if self.above[child].parent == link]
 
     def chain(self, base: str, tip: str) -> list[UrdfJoint] | None:
         """The joints from one link to another, or None if the other is not below."""
@@ -118,13 +117,20 @@ def numbers_in(element: Element, tag: str, keys: Iterable[str]) -> dict[str, flo
     return {} if found is None else {key: float(found.attrib[key]) for key in keys if key in found.attrib}
 
 
+def vector_in(element: Element | None, key: str, default: str = "") -> Array:
+    """Numbers (N,) in an attribute of an element, if both are there."""
+    return np.array((default if element is None else element.get(key, default)).split(), float)
+
+
+def placement(origin: Element | None) -> pin.SE3:
+    """Where an <origin> places something; at the frame itself without one."""
+    return pin.SE3(pin.rpy.rpyToMatrix(vector_in(origin, "rpy", "0 0 0")), vector_in(origin, "xyz", "0 0 0"))
+
+
 def tree_of(robot: Element, file: Path) -> UrdfTree:
     """The tree of a robot in a URDF.
 
-    Raises
-    ------
-    SettingsError
-        If its links do not form a tree, or have no names of their own; the message names `file`, and link or joint.
+    Raises `SettingsError`, naming `file`, and link or joint, if its links form no tree or have no names of their own.
     """
     links = _by_name(robot, "link", file)
     if not links:
@@ -178,9 +184,9 @@ def _joint(element: Element, where: str) -> UrdfJoint:
     ends = [end.get("link", "") for tag in ("parent", "child") if (end := element.find(tag)) is not None]
     if len(ends) != 2:
         raise SettingsError(f"{where}: expected <parent link=...> and <child link=...>")
-    axis, kind = element.find("axis"), element.get("type", "")
-    if axis is not None and kind != "fixed" and not any(map(float, axis.get("xyz", "1 0 0").split())):
-        raise SettingsError(f"{where}: axis = '{axis.get('xyz')}'; expected a vector that is not zero")
+    axis, kind = vector_in(element.find("axis"), "xyz", "1 0 0"), element.get("type", "")
+    if kind != "fixed" and not axis.any():
+        raise SettingsError(f"{where}: axis = {axis.tolist()}; expected a vector that is not zero")
     return UrdfJoint(element.get("name", ""), kind, ends[0], ends[1], element)
 
 

@@ -44,16 +44,13 @@ TOOL_PARAMETERS = tuple(full_name(TOOL, entry.name) for entry in Tool.declared()
 def load_arm(name: str = DEFAULT_ARM) -> Arm:
     """Load an arm by its name, or from a file; each call returns the same object.
 
+    Raises `SettingsError` if there is no such arm, with the names of those that there are; or as `read_arm_file`.
+
     Parameters
     ----------
     name
         One of `ARMS`, or the path of a URDF, xacro or MJCF file, of the YAML file beside it, or of a table, see
         docs/arms.md.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such arm, with the names of those that there are; or as `read_arm_file`.
     """
     # Also the same object for the default and its name.
     return _load(name)
@@ -97,11 +94,8 @@ def known_parameters(sections: Sections, arm: Arm) -> dict[str, Setting]:
 def make_settings(values: Mapping[str, Any], sections: Sections, arm: Arm, source: str) -> dict[str, Any]:
     """The settings objects of a node by prefix, out of its parameters by full name.
 
-    Raises
-    ------
-    SettingsError
-        Naming `source` and the parameter, if the node has no such parameter, a value is not accepted, or two do not go
-        together.
+    Raises `SettingsError`, naming `source` and the parameter, if the node has no such parameter, a value is not
+    accepted, or two do not go together.
     """
     checked = check_values(values, known_parameters(sections, arm), source)
     made: dict[str, Any] = {}
@@ -118,10 +112,7 @@ def make_settings(values: Mapping[str, Any], sections: Sections, arm: Arm, sourc
 def arm_in(values: Mapping[str, Any], source: str) -> Arm:
     """The arm of a node, with its tool, out of parameters by full name; all others are left alone.
 
-    Raises
-    ------
-    SettingsError
-        Naming `source`, if there is no such arm or tool.
+    Raises `SettingsError`, naming `source`, if there is no such arm or tool.
     """
     if ROBOT_TABLE in values:
         # As nodes report an arm that the package does not have.
