@@ -30,6 +30,10 @@ class PlanningError(ContactReachError):
     """There is no plan: for example, a collision-free path does not exist or was not found in time."""
 
 
+class UnreachableError(PlanningError):
+    """The arm does not get from where it is to its goal, however long it tries."""
+
+
 class SceneError(ContactReachError):
     """A scene cannot be loaded or built."""
 

@@ -429,6 +429,8 @@ class Stack:
             return None if request is None else self._follow(self.planner.solve(request))
         except PlanningError as error:
             self.failure = str(error)
+            if not self.planner.has_goal:
+                self.controller.withdraw()
         except InputError as error:
             self._refuse("plans", error)
         return None

@@ -34,9 +34,9 @@ class StayingCore:
 
     memory = None
 
-    def __init__(self, failing_after: int | None = None) -> None:
+    def __init__(self, failing_after: int | None = None, error: type[PlanningError] = PlanningError) -> None:
         self.asked: list[Request] = []
-        self.failing_after = failing_after
+        self.failing_after, self.error = failing_after, error
         self.resets = 0
         self.model = RobotModel(ARM)
 
@@ -51,7 +51,7 @@ class StayingCore:
 
     def plan(self, request: Request) -> Plan:
         if len(self.asked) == self.failing_after:
-            raise PlanningError("there is no way to the goal")
+            raise self.error("there is no way to the goal")
         self.asked.append(request)
         q = request.q
         position, rotation = self.model.tip_pose(q)

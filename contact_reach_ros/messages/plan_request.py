@@ -57,7 +57,7 @@ def request_parts(number: int, request: Request, memory: Memory | None, found: A
         parts["approach"] = np.array(memory.approach)
         detour = memory.request.detour
         if detour is not None:
-            parts["detour"] = np.array([*detour[:-1], *detour.posture])
+            parts["detour"] = np.array([*detour[:-1], *np.ravel(detour.postures)])
         for index, trajectory in enumerate(_in_force(memory.trajectories, request.state_ns)):
             parts[f"{_TRAJECTORY}{index}"] = _trajectory_numbers(trajectory, request.state_ns)
     return {name: np.ravel(values).astype(float) for name, values in parts.items()}
@@ -90,8 +90,9 @@ def read_memory(parts: Parts, request: Request, knot_duration_s: float, ramp_s: 
     )
     detour = None
     if "detour" in parts:
-        least, waited, number, is_on, arrived, *posture = parts["detour"].tolist()
-        detour = Detour(least, waited, int(number), bool(is_on), bool(arrived), np.array(posture))
+        least, waited, number, is_on, arrived, *numbers = parts["detour"].tolist()
+        postures = np.reshape(numbers, (-1, len(request.q)))
+        detour = Detour(least, waited, int(number), bool(is_on), bool(arrived), postures)
     effect_ns = trajectories[-1].effect_ns
     last = request._replace(effect_ns=effect_ns, goal=_goal(parts["last goal"]), detour=detour)
     approach, plans = Approach(*parts["approach"].tolist()), int(parts["plans since reset"][0])

@@ -4,6 +4,10 @@ A plan of 0.3 s sees no way around a joint's limit: with the orientation held, t
 there, whatever the arm may touch. A detour leads straight through joint space, where limits are in the way of nothing,
 to the nearest posture at the goal that inverse kinematics finds and that should not press harder than permitted.
 Plans on it minimise the distance of the joints from that posture in place of the distance from the goal.
+
+Postures that differ by whole turns of joints are one: the arm goes to the nearest of them within the limits. An arm
+without free dimensions, such as one with six joints and a pose as its goal, has few postures at the goal. It tries each
+once, from where the one before ended, and gives the goal up when none is left.
 """
 
 from __future__ import annotations
@@ -13,9 +17,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
+from contact_reach_ros.errors import UnreachableError
 from contact_reach_ros.planning.obstacles import Network
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -62,8 +68,14 @@ class Detour(NamedTuple):
     """Whether the arm is on a detour."""
     arrived: bool
     """Whether it has been at the goal: one that is pushed away then stays in its posture."""
-    posture: Array
-    """(n,) rad, of the last detour; where there was none that of the arm."""
+    postures: Array
+    """(k, n) rad: that of the arm at first, or of its last detour; without free dimensions of all detours so far."""
+
+    @property
+    def posture(self) -> Array:
+        """(n,) rad, of the last detour; where there was none that of the arm."""
+        last: Array = self.postures[-1]
+        return last
 
     def weights(self, settings: PlanningSettings) -> dict[str, float]:
         """Weights of terms for the next plan, by their names."""
@@ -90,12 +102,18 @@ class Detours:
             Request for a plan.
         last
             The one that the last plan was made for; None after a reset.
+
+        Raises
+        ------
+        UnreachableError
+            If an arm without free dimensions makes no progress, has tried all postures at the goal, and is not among
+            soft obstacles, which may go away.
         """
         settings = self.settings
         if settings.detour_patience == 0.0:
             return request
         if last is None or last.detour is None or not request.goal.same_as(last.goal):
-            return request._replace(detour=Detour(np.inf, 0.0, 0, False, False, request.q))
+            return request._replace(detour=Detour(np.inf, 0.0, 0, False, False, request.q[None]))
         # Without a plan in force the arm cannot make progress.
         elapsed = min((request.effect_ns - last.effect_ns) * 1e-9, settings.horizon * settings.knot_duration)
         goal = request.goal if settings.orientation_weight else Target(request.goal.position)
@@ -117,10 +135,20 @@ class Detours:
         detour = detour._replace(arrived=detour.arrived or is_there)
         if detour.waited < patience or detour.arrived:
             return detour
+        is_bound = _is_bound(self.arm, request.goal)
         posture = self._choose(request, detour)
         if posture is None:
+            if is_bound and not len(request.spheres):
+                raise UnreachableError(
+                    f"no progress {offset:.3f} m and {angle:.2f} rad from the goal at "
+                    f"{np.round(request.goal.position, 3).tolist()} m, and no posture at the goal is left to try after "
+                    f"{len(detour.postures) - 1}: joint limits, singularities, or the arm itself are in the way; give "
+                    "another orientation, leave it free, or give a goal on the way first"
+                )
             return detour._replace(least=distance, waited=0.0, number=detour.number + 1, is_on=False)
-        return Detour(float(np.linalg.norm(posture - q)), 0.0, detour.number + 1, True, False, posture)
+        earlier = detour.postures if is_bound else detour.postures[:0]
+        postures = np.concatenate([earlier, posture[None]])
+        return Detour(float(np.linalg.norm(posture - q)), 0.0, detour.number + 1, True, False, postures)
 
     def _choose(self, request: Request, detour: Detour) -> Array | None:
         """The posture that costs least to get to: 1 for each radian, and 1 for each ε of the force on the way.
@@ -155,16 +183,46 @@ def _distance(arm: Arm, q: Array, goal: Target) -> tuple[float, float, float]:
     return offset + _METRES_PER_RADIAN * angle, offset, angle
 
 
+def _is_bound(arm: Arm, goal: Target) -> bool:
+    """Whether the goal leaves the arm no free dimension, so that few postures are at it."""
+    return arm.n <= (3 if goal.rotation is None else 5 if goal.only_axis else 6)
+
+
 def _postures(arm: Arm, q: Array, goal: Target, detour: Detour) -> Iterator[Array]:
-    """Postures at the goal other than the present and the last one, the nearest first; the same ones each time."""
-    random = np.random.default_rng(detour.number)
+    """Postures at the goal that may lead on, the nearest first; the same ones each time.
+
+    They are others than the present and the last one; without free dimensions those that were not tried, each once.
+    """
+    random, is_bound = np.random.default_rng(detour.number), _is_bound(arm, goal)
+    known = [*detour.postures[1:]] if is_bound else [q, detour.posture][: 1 + (detour.number > 0)]
     for margin in _MARGINS:
+        lower, upper = arm.lower + margin, arm.upper - margin
         near = q + _SPREAD * random.standard_normal((_SEEDS_NEAR, arm.n))
         anywhere = random.uniform(arm.lower, arm.upper, (_SEEDS_ANYWHERE, arm.n))
         seeds = np.concatenate([near, anywhere])
-        found = solve_ik(arm, goal.position, goal.rotation, seeds, margin, goal.only_axis)
-        for known in (q, detour.posture) if detour.number else (q,):
-            found = found[np.abs(found - known).max(axis=1) > _OTHER]
-        yield from found[np.argsort(np.linalg.norm(found - q, axis=1), kind="stable")[:_CANDIDATES]]
-        if len(found):
-            return
+        found = _turned(solve_ik(arm, goal.position, goal.rotation, seeds, margin, goal.only_axis), q, lower, upper)
+        found = found[np.argsort(np.linalg.norm(found - q, axis=1), kind="stable")]
+        for posture in known:
+            found = found[_differs(found, posture, lower, upper)]
+        if not is_bound:
+            yield from found[:_CANDIDATES]
+            if len(found):
+                return
+            continue
+        while len(found):
+            yield found[0]
+            found = found[_differs(found, found[0], lower, upper)]
+
+
+def _differs(postures: Array, other: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
+    """Which of the postures (N, n) are not the other one (n,), turned within the limits, rad."""
+    differs: NDArray[np.bool_] = np.abs(_turned(postures, other, lower, upper) - other).max(axis=1) > _OTHER
+    return differs
+
+
+def _turned(postures: Array, q: Array, lower: Array, upper: Array) -> Array:
+    """The postures (N, n), rad, within these limits and with each joint whole turns from its place, nearest to `q`."""
+    turn = 2.0 * np.pi
+    least, most = np.ceil((lower - postures) / turn), np.floor((upper - postures) / turn)
+    turned: Array = postures + turn * np.clip(np.round((q - postures) / turn), least, most)
+    return turned

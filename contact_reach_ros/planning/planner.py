@@ -12,7 +12,7 @@ import numpy as np
 from contact_reach_ros.arm import Arm, JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.settings import AXIS, POSE, POSITION
-from contact_reach_ros.errors import InputError, PlanningError
+from contact_reach_ros.errors import InputError, PlanningError, UnreachableError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import describe_contact
@@ -268,7 +268,9 @@ class Planner:
         return Request(q, v, stamp_ns, effect_ns, self.goal, self.obstacles.spheres, self.speed_scale)
 
     def solve(self, request: Request) -> Plan:
-        """Make the plan that was requested; a goal for which there is none at the first `_ATTEMPTS` is refused.
+        """Make the plan that was requested.
+
+        A goal for which there is none at the first `_ATTEMPTS`, or that proves unreachable, is refused.
 
         Raises
         ------
@@ -284,7 +286,8 @@ class Planner:
         except (InputError, PlanningError) as error:
             self._failures += 1
             state = self.goal_state
-            if state is not None and state.phase is GoalPhase.ACCEPTED and self._failures >= _ATTEMPTS:
+            is_new = state is not None and state.phase is GoalPhase.ACCEPTED
+            if isinstance(error, UnreachableError) or (is_new and self._failures >= _ATTEMPTS):
                 self.withdraw(f"there is no plan for it: {error}", GoalPhase.REFUSED)
             raise
         if plan.speed_scale != request.speed_scale:

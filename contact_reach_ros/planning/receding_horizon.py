@@ -179,6 +179,8 @@ class RecedingHorizonPlanner:
             from this state has a finite cost.
         PlanningError
             If even the best motion would bring the arm into a rigid body or into itself.
+        UnreachableError
+            If the arm makes no progress and no detour is left, see `Detours.target`.
         """
         begin = time.perf_counter()
         q, v = self._joints("q", request.q), self._joints("v", request.v)

@@ -9,6 +9,8 @@ from planning_helpers import MS, ORIGINS, PERMITTED_FORCE, ROTATIONS, SMALL, bal
 
 from contact_reach_ros.arm import link_frames
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.errors import UnreachableError
 from contact_reach_ros.planning.detour import Detours
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.world.goal import Target
@@ -105,3 +107,53 @@ def test_time_without_plans_is_no_lack_of_progress():
     for seconds in (5, 10):
         last = DETOURS.target(last._replace(effect_ns=seconds * 1000 * MS), last)
     assert not last.on_detour and last.detour.waited < 0.7
+
+
+UR10 = load_arm("ur10")
+"""Six joints, of which five turn once to either side, and so have two places for most angles."""
+
+START = np.array(UR10.home)
+BOUND = Detours(UR10, SMALL, PERMITTED_FORCE)
+REQUESTS = 40
+"""As many as the arm needs to give up, and more."""
+
+
+def pose(q: np.ndarray) -> Target:
+    rotations, origins = link_frames(UR10, q)
+    return Target(origins[-1], rotations[-1])
+
+
+ELSEWHERE = pose(START + np.array([0.4, -0.2, 0.3, 0.1, 0.2, 0.3]))
+
+
+def stuck(spheres: Spheres) -> list[Request]:
+    """Requests of the arm with six joints, which stays at its start, until it gives up."""
+    requests = [BOUND.target(Request(START, REST[:6], 0, 0, ELSEWHERE, spheres), None)]
+    try:
+        while len(requests) < REQUESTS:
+            last = requests[-1]
+            requests.append(BOUND.target(last._replace(effect_ns=last.effect_ns + 300 * MS), last))
+    except UnreachableError as error:
+        assert f"no posture at the goal is left to try after {last.detour.number}" in str(error)
+    return requests
+
+
+def test_without_free_dimensions_each_posture_is_tried_once_by_the_shortest_way_and_then_the_goal_is_given_up():
+    requests = stuck(Spheres.none())
+    assert len(requests) < REQUESTS
+    tried = requests[-1].detour.postures[1:]
+    assert len(tried) == requests[-1].detour.number >= 3
+    for number, posture in enumerate(tried):
+        reached = pose(posture)
+        np.testing.assert_allclose(reached.position, ELSEWHERE.position, atol=2e-4)
+        assert ELSEWHERE.angle(reached.rotation) < 2e-3
+        apart = np.abs(np.exp(1j * tried[:number]) - np.exp(1j * posture)).max(axis=1)
+        assert (apart > 0.2).all(), "two differ by whole turns only"
+        for turned in (posture - 2.0 * np.pi, posture + 2.0 * np.pi):
+            is_within = (turned > UR10.lower + 0.2) & (turned < UR10.upper - 0.2)
+            assert (np.abs(turned - START) >= np.abs(posture - START))[is_within].all()
+    np.testing.assert_allclose(tried[0], START + np.array([0.4, -0.2, 0.3, 0.1, 0.2, 0.3]), atol=5e-3)
+
+
+def test_among_soft_obstacles_which_may_go_away_no_goal_is_given_up():
+    assert len(stuck(ball_at(np.array([0.0, 0.0, -5.0])))) == REQUESTS

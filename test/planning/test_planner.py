@@ -10,7 +10,7 @@ from plans import StayingCore
 
 from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.errors import InputError, PlanningError
+from contact_reach_ros.errors import InputError, PlanningError, UnreachableError
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.planning.plan import Request
@@ -246,6 +246,14 @@ def test_a_goal_with_a_plan_stays_though_later_ones_are_not_found():
     planner.command(GOAL)
     planner.solve(planner.request(state(0)))
     assert fail(planner, 30, 12) == 12 * [GoalPhase.RUNNING]
+
+
+def test_a_goal_that_proves_unreachable_on_the_way_is_refused_at_once():
+    planner = make(StayingCore(failing_after=1, error=UnreachableError))
+    planner.command(GOAL)
+    planner.solve(planner.request(state(0)))
+    assert fail(planner, 30, 1) == [GoalPhase.REFUSED]
+    assert not planner.has_goal and "there is no way to the goal" in planner.goal_state.reason
 
 
 def test_the_latency_is_that_of_the_slowest_of_the_last_plans_but_never_less_than_wanted(planner):
