@@ -1,4 +1,4 @@
-"""What law (1) controls, with six joints and with seven: model, variables and plans follow it."""
+"""What law (1) controls, with four to seven joints: model, variables and plans follow it."""
 
 import jax
 import jax.numpy as jnp
@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_simulation import ARM, NO_FRICTION
+from few_joints import few_joints
 from planning_helpers import PERMITTED_FORCE, SMALL
 from six_axis import SIX_AXIS
 
@@ -37,6 +38,8 @@ CASES = {
     "six joints, pose": (SIX_AXIS, POSE, 6),
     "six joints, position": (SIX_AXIS, POSITION, 3 + 6),
     "seven joints, position and axis": (ARM, AXIS, 5 + 7),
+    "five joints, as much as they can hold": (few_joints("zyyzy"), ImpedanceSettings(reference_ramp=0.0), 5),
+    "four joints, as much as they can hold": (few_joints("zyyy"), ImpedanceSettings(reference_ramp=0.0), 3 + 4),
 }
 LANES = 4
 SIX_HOME, SIX_REST = np.array(SIX_AXIS.home), np.zeros(SIX_AXIS.n)

@@ -1,0 +1,100 @@
+"""Arms with five joints and fewer: the task that they can hold, and scenes for it."""
+
+import numpy as np
+import pytest
+from arm_simulation import ARM
+from few_joints import few_joints
+from scipy.spatial.transform import Rotation
+from six_axis import SIX_AXIS
+
+from contact_reach_ros.arm import link_frames
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.task import AXIS, POSE, POSITION
+from contact_reach_ros.arms import make_settings
+from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
+from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.scenes.generate import load_scene
+from contact_reach_ros.scenes.placing import free_path
+from contact_reach_ros.world.collision import check_goal
+from contact_reach_ros.world.goal import Goal
+
+ARMS = {
+    "five": few_joints("zyyzy"),
+    "roll": few_joints("zyyyz"),
+    "four": few_joints("zyyy"),
+    "three": few_joints("zyy"),
+}
+
+
+def task_in(arm, **values: str) -> str:
+    given = {f"impedance.{name}": value for name, value in values.items()}
+    return make_settings(given, CONTROLLER_SECTIONS, arm, "arm.yaml: controller")["impedance"].task
+
+
+@pytest.mark.parametrize(
+    ("arm", "task"),
+    [
+        (ARM, POSE),
+        (SIX_AXIS, POSE),
+        (ARMS["five"], AXIS),
+        # Its last joint turns about the tip's z axis, whose direction the others cannot hold.
+        (ARMS["roll"], POSITION),
+        (few_joints("zyyyz", sideways=True), AXIS),
+        (ARMS["four"], POSITION),
+        (ARMS["three"], POSITION),
+    ],
+    ids=lambda value: getattr(value, "name", value),
+)
+def test_the_default_task_is_what_the_joints_can_hold(arm, task):
+    assert arm.task == task_in(arm) == task
+    assert task_in(arm, task=POSITION) == POSITION
+
+
+@pytest.mark.parametrize(
+    ("arm", "task", "expected"),
+    [
+        ("five", POSE, r"task = pose has 6 rows, but the arm's 5 joints can hold 5; expected position_and_axis or"),
+        ("roll", AXIS, r"task = position_and_axis has 5 rows, but the arm's 5 joints can hold 3; expected position or"),
+        ("four", POSE, r"task = pose has 6 rows, but the arm's 4 joints can hold 3; expected position or"),
+    ],
+)
+def test_a_task_that_the_arm_cannot_hold_is_refused(arm, task, expected):
+    with pytest.raises(SettingsError, match=rf"arm.yaml: controller: impedance.{expected}"):
+        task_in(ARMS[arm], task=task)
+
+
+@pytest.mark.parametrize(("axes", "count"), [("zy", 2), ("yyy", 3)])
+def test_an_arm_that_cannot_hold_a_position_is_refused(axes, count):
+    with pytest.raises(
+        SettingsError, match=rf"the {count} joints of arm '{axes}' move its tip in 2 directions; .* 3 r"
+    ):
+        few_joints(axes)
+    with pytest.raises(SettingsError, match=r"expected at least the 3 rows of impedance.task = position: free joints"):
+        task_in(few_joints(axes, home=(0.5,) * count))
+
+
+@pytest.mark.parametrize("name", ["free", "ball"])
+@pytest.mark.parametrize("arm", ["five", "roll", "four"])
+def test_targets_are_reached_with_the_task_held(arm, name):
+    arm = ARMS[arm]
+    for seed in range(3):
+        scene = load_scene(name, arm, seed)
+        path = free_path(RobotModel(arm), scene.start, scene.target)
+        poses = [link_frames(arm, q) for q in path]
+        np.testing.assert_allclose(poses[-1][1][-1], scene.target, atol=1e-3)
+        if arm.task == AXIS:
+            axes = np.array([rotations[-1][:, 2] for rotations, _ in poses])
+            assert np.linalg.norm(axes - axes[0], axis=1).max() < 5e-3
+        assert len(scene.obstacles) == (name == "ball")
+
+
+def test_goals_count_as_far_as_the_arm_can_hold_them():
+    turned, rotation = Rotation.from_euler("xyz", [0.3, 0.0, 1.0]), np.eye(3)
+    for arm in (ARMS["four"], ARMS["five"]):
+        position = RobotModel(arm).tip_pose(np.array(arm.home))[0]
+        target = Goal(position, turned.as_quat()).resolve(arm, rotation)
+        assert (target.rotation is None) == (arm.task == POSITION)
+        # Of the turn about z nothing counts with five joints, and of the whole turn nothing with four.
+        assert target.angle(rotation) == pytest.approx(0.3 if arm.task == AXIS else 0.0, abs=1e-6)
+        held = Goal(position).resolve(arm, RobotModel(arm).tip_pose(np.array(arm.home))[1])
+        check_goal(arm, held, (), np.array(arm.home))
