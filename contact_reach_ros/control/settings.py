@@ -57,9 +57,10 @@ class ImpedanceSettings(Settings):
         """
         task, most = arm.task if self.task == AUTO else self.task, TASK_ROWS[arm.task]
         if TASK_ROWS[task] > most:
+            fit = ", ".join(name for name, rows in TASK_ROWS.items() if rows <= most)
             raise SettingsError(
                 f"impedance.task = {task} has {TASK_ROWS[task]} rows, but the arm's {arm.n} joints can hold {most}; "
-                f"expected {arm.task} or one with fewer rows, or {AUTO}"
+                f"expected one of {AUTO}, {fit}"
             )
         return dataclasses.replace(self, task=task)
 
