@@ -40,7 +40,7 @@ def check_arm(name: str, table: Path | None = None) -> None:
         f"{list(arm.shoulder)} m"
     )
     console.print(in_words(arm), markup=False)
-    console.print(f"impedance.task: {arm.task}, {TASK_ROWS[arm.task]} of a pose's 6 rows, is what it can hold")
+    console.print(f"task: {arm.task}, the most that its {arm.n} joints can hold ({TASK_ROWS[arm.task]} of 6 rows)")
     console.print(_joints(arm))
     capsules = Table("capsule on", "radius m", "length m", "volume / hull")
     for number, capsule in enumerate(shapes(arm)):

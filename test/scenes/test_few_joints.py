@@ -18,12 +18,8 @@ from contact_reach_ros.scenes.placing import free_path
 from contact_reach_ros.world.collision import check_goal
 from contact_reach_ros.world.goal import Goal
 
-ARMS = {
-    "five": few_joints("zyyzy"),
-    "roll": few_joints("zyyyz"),
-    "four": few_joints("zyyy"),
-    "three": few_joints("zyy"),
-}
+FIVE, ROLL, FOUR, THREE = "zyyzy", "zyyyz", "zyyy", "zyy"
+"""Axes of arms; the last joint of `ROLL` turns about the tip's z axis, whose direction the others cannot hold."""
 
 
 def task_in(arm, **values: str) -> str:
@@ -32,35 +28,36 @@ def task_in(arm, **values: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("arm", "task"),
+    ("axes", "sideways", "task"),
     [
-        (ARM, POSE),
-        (SIX_AXIS, POSE),
-        (ARMS["five"], AXIS),
-        # Its last joint turns about the tip's z axis, whose direction the others cannot hold.
-        (ARMS["roll"], POSITION),
-        (few_joints("zyyyz", sideways=True), AXIS),
-        (ARMS["four"], POSITION),
-        (ARMS["three"], POSITION),
+        (FIVE, False, AXIS),
+        (ROLL, False, POSITION),
+        (ROLL, True, AXIS),
+        (FOUR, False, POSITION),
+        (THREE, False, POSITION),
     ],
-    ids=lambda value: getattr(value, "name", value),
 )
-def test_the_default_task_is_what_the_joints_can_hold(arm, task):
+def test_the_default_task_is_what_the_joints_can_hold(axes, sideways, task):
+    arm = few_joints(axes, sideways)
     assert arm.task == task_in(arm) == task
     assert task_in(arm, task=POSITION) == POSITION
 
 
+def test_six_joints_and_more_hold_a_pose():
+    assert ARM.task == SIX_AXIS.task == task_in(ARM) == POSE
+
+
 @pytest.mark.parametrize(
-    ("arm", "task", "expected"),
+    ("axes", "task", "expected"),
     [
-        ("five", POSE, "pose has 6 rows, but the arm's 5 joints can hold 5; expected one of auto, position_and_axis, "),
-        ("roll", AXIS, "position_and_axis has 5 rows, but the arm's 5 joints can hold 3; expected one of auto, po"),
-        ("four", POSE, "pose has 6 rows, but the arm's 4 joints can hold 3; expected one of auto, position"),
+        (FIVE, POSE, "pose has 6 rows, but the arm's 5 joints can hold 5; expected one of auto, position_and_axis, "),
+        (ROLL, AXIS, "position_and_axis has 5 rows, but the arm's 5 joints can hold 3; expected one of auto, po"),
+        (FOUR, POSE, "pose has 6 rows, but the arm's 4 joints can hold 3; expected one of auto, position"),
     ],
 )
-def test_a_task_that_the_arm_cannot_hold_is_refused(arm, task, expected):
+def test_a_task_that_the_arm_cannot_hold_is_refused(axes, task, expected):
     with pytest.raises(SettingsError, match=f"arm.yaml: controller: impedance.task = {expected}"):
-        task_in(ARMS[arm], task=task)
+        task_in(few_joints(axes), task=task)
 
 
 @pytest.mark.parametrize(("axes", "count"), [("zy", 2), ("yyy", 3)])
@@ -74,23 +71,23 @@ def test_an_arm_that_cannot_hold_a_position_is_refused(axes, count):
 
 
 @pytest.mark.parametrize("name", ["free", "ball"])
-@pytest.mark.parametrize("arm", ["five", "roll", "four"])
-def test_targets_are_reached_with_the_task_held(arm, name):
-    arm = ARMS[arm]
+@pytest.mark.parametrize("axes", [FIVE, ROLL, FOUR])
+def test_targets_are_reached_with_the_task_held(axes, name):
+    arm = few_joints(axes)
     for seed in range(3):
         scene = load_scene(name, arm, seed)
         path = free_path(RobotModel(arm), scene.start, scene.target)
         poses = [link_frames(arm, q) for q in path]
         np.testing.assert_allclose(poses[-1][1][-1], scene.target, atol=1e-3)
         if arm.task == AXIS:
-            axes = np.array([rotations[-1][:, 2] for rotations, _ in poses])
-            assert np.linalg.norm(axes - axes[0], axis=1).max() < 5e-3
+            held = np.array([rotations[-1][:, 2] for rotations, _ in poses])
+            assert np.linalg.norm(held - held[0], axis=1).max() < 5e-3
         assert len(scene.obstacles) == (name == "ball")
 
 
 def test_goals_count_as_far_as_the_arm_can_hold_them():
     turned, rotation = Rotation.from_euler("xyz", [0.3, 0.0, 1.0]), np.eye(3)
-    for arm in (ARMS["four"], ARMS["five"]):
+    for arm in (few_joints(FOUR), few_joints(FIVE)):
         position = RobotModel(arm).tip_pose(np.array(arm.home))[0]
         target = Goal(position, turned.as_quat()).resolve(arm, rotation)
         assert (target.rotation is None) == (arm.task == POSITION)
