@@ -18,7 +18,7 @@ from benchmarks.metrics import EpisodeMetrics, measure
 from benchmarks.paper import JOINT_TORQUE
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arms import DEFAULT_ARM, load_arm
-from contact_reach_ros.control.settings import ControllerSettings
+from contact_reach_ros.control.settings import AUTO, ControllerSettings
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import ObserverSettings
@@ -102,14 +102,16 @@ class Setup:
     """Time to reach the goal, s, for methods that follow no path."""
 
     @classmethod
-    def of(cls, name: str, budget: ContactBudget, arm: str = DEFAULT_ARM, task: str = "pose", **changes: Any) -> Setup:
-        """The setup of a preset for an arm and a task; raises `SettingsError` if there is none of this name.
+    def of(cls, name: str, budget: ContactBudget, arm: str = DEFAULT_ARM, task: str = AUTO, **changes: Any) -> Setup:
+        """The setup of a preset for an arm and a task.
+
+        Raises `SettingsError` if there is no preset of this name, or the arm cannot hold the task.
 
         A deadline on the wall clock, which would make results depend on the machine, is `DEADLINE_STEPS`. Plans of
         0.47 s, as the paper's are, make the arm slow: it has three times as long.
         """
         found = preset(name, load_arm(arm))
-        impedance = dataclasses.replace(found.controller.impedance, task=task)
+        impedance = dataclasses.replace(found.controller.impedance, task=task).resolve(load_arm(arm))
         found = found._replace(controller=dataclasses.replace(found.controller, impedance=impedance))
         if found.planning.deadline:
             planning = dataclasses.replace(found.planning, deadline=0.0, max_steps=DEADLINE_STEPS)

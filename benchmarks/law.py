@@ -6,10 +6,11 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.task import POSE, TASK_ROWS
 from contact_reach_ros.control import kernels
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.settings import POSE, TASK_ROWS, ImpedanceSettings
+from contact_reach_ros.control.settings import ImpedanceSettings
 
 
 def pose_error(position: Array, rotation: Array, reference: Reference, task: str = POSE) -> Array:
@@ -30,7 +31,7 @@ class ImpedanceLaw:
     """
 
     def __init__(self, arm: Arm, settings: ImpedanceSettings) -> None:
-        self.settings = settings
+        self.settings = settings.resolve(arm)
         self._constants = make_constants(arm, settings)
 
     def torque(self, model: RobotModel, v: Array, posture_error: Array, error: Array) -> Array:

@@ -24,9 +24,10 @@ from benchmarks.output import command_line, given, percentiles, run_command, say
 from benchmarks.recorded_plans import RecordedPlan, record_plans
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.task import AXIS
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.references import Reference, Way
-from contact_reach_ros.control.settings import AXIS, ImpedanceSettings
+from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.settings import PIPELINES, PlanningSettings
 from contact_reach_ros.planning.transfer.lanes import single
@@ -93,7 +94,7 @@ def simulate(
         plant.data.qpos[arm.n :] = (spheres - rest_positions(scene))[movable].ravel()
     data = plant.data
     data.qvel[: arm.n] = v
-    gains = gains or ImpedanceSettings()
+    gains = (gains or ImpedanceSettings()).resolve(arm)
     law, model = ImpedanceLaw(arm, gains), RobotModel(arm)
     before = before or Reference(*model.tip_pose(scene.start), scene.start)
     motion: list[tuple[Array, Array, Array, Array]] = []

@@ -14,8 +14,9 @@ from benchmarks.grid import GOALS, Cell, Setup
 from benchmarks.grid_run import run_grid
 from benchmarks.output import Report, command_line, command_of, given, run_command, write_report
 from benchmarks.table1_report import tables
+from contact_reach_ros.arm.task import TASK_ROWS
 from contact_reach_ros.arms import DEFAULT_ARM
-from contact_reach_ros.control.settings import TASK_ROWS
+from contact_reach_ros.control.settings import AUTO
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.world.scene_file import SceneFile, read_scene
@@ -46,7 +47,7 @@ class Table1:
     arm
         Name of an arm, or path of its file.
     task
-        What law (1) controls: one of `TASK_ROWS`.
+        What law (1) controls: one of `TASK_ROWS`, or as much as the arm can hold.
     """
 
     preset: str = "shipped"
@@ -59,7 +60,7 @@ class Table1:
     timeout: float | None = None
     latency: float | None = None
     arm: str = DEFAULT_ARM
-    task: str = "pose"
+    task: str = AUTO
 
     def __post_init__(self) -> None:
         for name, values, known in (("goals", self.goals, GOALS), ("methods", self.methods, tuple(METHODS))):
@@ -134,7 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--goals", nargs="+", metavar="GOAL", help="hold the orientation, or free (default: both)")
     parser.add_argument("--methods", nargs="+", metavar="METHOD", help="see benchmarks/baselines.md (default: four)")
     parser.add_argument("--arm", metavar="ARM", help="a name, or the path of a URDF or YAML file (default: iiwa14)")
-    parser.add_argument("--task", choices=TASK_ROWS, help="what law (1) controls (default: pose)")
+    parser.add_argument("--task", choices=TASK_ROWS, help="what law (1) controls (default: what the arm can hold)")
     parser.add_argument("--targets", type=int, help="targets per scene (default: 70)")
     parser.add_argument("--repeats", type=int, help="episodes per target (default: 1)")
     parser.add_argument("--seed", type=int, help="of the first target (default: 0)")

@@ -29,6 +29,14 @@ _DECLARATION = "declaration"
 class ArmDefaults(Protocol):
     """What settings need from an arm."""
 
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+
+    @property
+    def task(self) -> str:
+        """The task with most rows that the joints can hold."""
+
     def default(self, setting: str) -> tuple[float, ...]:
         """Default of a setting with one value per joint."""
 

@@ -487,7 +487,7 @@ def make_planner(
     from contact_reach_ros.planning.solver.hybrid import HybridSolver
 
     planning = planning or PlanningSettings()
-    controller = controller or ControllerSettings()
+    controller = (controller or ControllerSettings()).resolve(arm)
     force = (budget or ContactBudget()).permitted_force
     core = RecedingHorizonPlanner(arm, planning, controller, force, capacity, solver or HybridSolver)
     unexpected_contact = unexpected_contact or UnexpectedContactSettings()

@@ -37,9 +37,10 @@ class PostureSpace(ReferenceSpace):
         super().__init__(arm, settings, gains)
         closed, posture = self.objective, single(np.array(arm.default("reference_posture"))[:, None])
         self.objective = PostureObjective(closed.system, closed.horizon, closed.substeps, posture)
-        self._planned = self._planned[: gains.rows]
+        rows = self.objective.system.gains.rows
+        self._planned = self._planned[:rows]
         self.bounds, self.spread = (
-            values.reshape(settings.horizon, -1)[:, : gains.rows].ravel() for values in (self.bounds, self.spread)
+            values.reshape(settings.horizon, -1)[:, :rows].ravel() for values in (self.bounds, self.spread)
         )
 
 

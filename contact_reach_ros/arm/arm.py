@@ -165,6 +165,14 @@ class Arm:
         return tuple(dict.fromkeys(self.link_names[capsule.link - 1] for capsule in self.capsules))
 
     @cached_property
+    def task(self) -> str:
+        """The task with most rows that the joints can hold, of `task.TASK_ROWS`; raises `SettingsError` for none."""
+        # It computes with the kinematics of this module's arms.
+        from contact_reach_ros.arm.task import greatest_task
+
+        return greatest_task(self)
+
+    @cached_property
     def digest(self) -> str:
         """Fingerprint of everything that models are built from, the same on every machine."""
         values = dataclasses.asdict(dataclasses.replace(self, bare=None))

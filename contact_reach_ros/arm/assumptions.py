@@ -8,6 +8,7 @@ from contact_reach_ros.arm.arm import Arm, Vector3
 from contact_reach_ros.arm.capsules import pair_distances, touching_pairs
 from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many, tip_positions
 from contact_reach_ros.arm.mount import standing, stands
+from contact_reach_ros.arm.task import task_jacobians
 
 REACH_SHARE = 0.9
 """Of the greatest distance of the tip from the shoulder, up to which goals are accepted."""
@@ -85,9 +86,7 @@ def home(arm: Arm) -> tuple[float, ...]:
         lowest = np.minimum(lowest, link_frames_of_many(mount, q)[1][1:, 2].min(axis=0))
     wrong += 10.0 * np.maximum(0.15 - lowest / arm.reach, 0.0)
     few = wrong.argsort()[: _POSTURES // 200]
-    joint_axes = axes[:-1, 2][:, :, few]
-    linear = np.cross(joint_axes, origins[-1][:, few] - origins[:-1][:, :, few], axis=1) / arm.reach
-    jacobians = np.concatenate([linear, joint_axes], axis=1).transpose(2, 1, 0)
+    jacobians = task_jacobians(axes[..., few], origins[..., few] / arm.reach, arm.task)
     quality = np.linalg.svd(jacobians, compute_uv=False)[:, -1] - 0.3 * wrong[few]
     postures = np.round(q[few], 3)
     overlaps = (pair_distances(arm, postures, touching_pairs(arm)) <= 0.0).sum(axis=1)

@@ -9,6 +9,7 @@ from contact_reach_ros.arm.arm import Arm
 from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsules import segment_distances
 from contact_reach_ros.arm.kinematics import link_frames_of_many
+from contact_reach_ros.arm.task import AXIS, POSE, POSITION, task_jacobians
 
 _STEPS = 60
 _DAMPING = 0.05
@@ -78,7 +79,7 @@ def solve_ik(
     lower, upper = arm.lower + margin, arm.upper - margin
     q = np.clip(seeds, lower, upper)
     for _ in range(_STEPS):
-        error, jacobian = _errors(arm, position, rotation, q, only_axis)
+        error, jacobian = pose_errors(arm, position, rotation, q, only_axis)
         if first and _is_there(error).any():
             break
         gram = jacobian @ jacobian.transpose(0, 2, 1)
@@ -87,7 +88,7 @@ def solve_ik(
         gram += (_DAMPING**2 * size)[:, None, None] * np.eye(error.shape[1]) + 1e-9 * np.eye(error.shape[1])
         step = np.einsum("nij,ni->nj", jacobian, np.linalg.solve(gram, error[:, :, None])[:, :, 0])
         q = np.clip(q - np.clip(step, -_LONGEST_STEP, _LONGEST_STEP), lower, upper)
-    error, _ = _errors(arm, position, rotation, q, only_axis)
+    error, _ = pose_errors(arm, position, rotation, q, only_axis)
     return q[_is_there(error)]
 
 
@@ -97,25 +98,25 @@ def _is_there(error: Array) -> Array:
     return found & (np.linalg.norm(error[:, 3:], axis=1) < _ROTATION_TOLERANCE)
 
 
-def _errors(arm: Arm, position: Array, rotation: Array | None, q: Array, only_axis: bool) -> tuple[Array, Array]:
-    """Pose errors (N, 6) and Jacobians (N, 6, n), or the first three rows where the orientation is free.
+def pose_errors(
+    arm: Arm, position: Array, rotation: Array | None, q: Array, only_axis: bool = False
+) -> tuple[Array, Array]:
+    """Pose errors (N, m), m and rad, and Jacobians (N, m, n) in postures (N, n), as for `solve_ik`.
 
-    Of the z axis alone there are two rows instead of the last three: about the flange's x and y axes.
+    The rows are those of `task_jacobians`: 6 of a pose, 5 of position and axis, 3 where the orientation is free.
     """
     frames, origins = link_frames_of_many(arm, q)
-    axes = frames[:-1, 2]
-    linear = np.cross(axes, origins[-1] - origins[:-1], axis=1).transpose(2, 1, 0)
-    offset = origins[-1].T - position
+    task = POSITION if rotation is None else AXIS if only_axis else POSE
+    offset, jacobians = origins[-1].T - position, task_jacobians(frames, origins, task)
     if rotation is None:
-        return offset, linear
-    angular = axes.transpose(2, 1, 0)
+        return offset, jacobians
     if only_axis:
         x, y, z = frames[-1].transpose(0, 2, 1)
         across = np.stack([x, y], axis=1)
         turn = np.cross(rotation[:, 2], z)
         sine, cosine = np.linalg.norm(turn, axis=1), z @ rotation[:, 2]
         turn *= (np.arctan2(sine, cosine) / np.maximum(sine, 1e-9))[:, None]
-        turn, angular = np.einsum("nik,nk->ni", across, turn), across @ angular
+        turn = np.einsum("nik,nk->ni", across, turn)
     else:
         turn = Rotation.from_matrix(frames[-1].transpose(2, 1, 0) @ rotation.T).as_rotvec()
-    return np.concatenate([offset, turn], axis=1), np.concatenate([linear, angular], axis=1)
+    return np.concatenate([offset, turn], axis=1), jacobians

@@ -76,11 +76,6 @@ class RobotModel:
         self.drift = pin.getFrameClassicalAcceleration(model, data, flange, _WORLD_ALIGNED).vector
         self.twist = self.jacobian.dot(v)
 
-    def smallest_mobility(self) -> float:
-        """Smallest eigenvalue of J M⁻¹ Jᵀ at the state of the last `update`, 1/kg: zero where the arm is singular."""
-        mobility = self.jacobian @ np.linalg.solve(self.mass_matrix, self.jacobian.T)
-        return float(np.linalg.eigvalsh(mobility)[0])
-
     def update_dynamics(self, q: Array) -> None:
         """Compute `mass_matrix` and `gravity` only; the other attributes stay those of the last `update`."""
         pin.crba(self.pinocchio, self.data, q)

@@ -20,7 +20,7 @@ from contact_reach_ros.messages.topics import Qos
 from contact_reach_ros.ros.client import PLANNER, StackClient, connect
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.world.collision import clearances, nearest
-from contact_reach_ros.world.goal import POSE
+from contact_reach_ros.world.goal import POSE, Target
 from contact_reach_ros.world.spheres import Spheres
 
 _OBSERVER = "observer"
@@ -125,7 +125,8 @@ def check_clearance(arm: Arm, q: Array, obstacles: Spheres) -> None:
     """
     before = q
     for number, (position, rotation) in enumerate(goals(arm), 1):
-        postures = solve_ik(arm, position, rotation, np.stack([before, np.array(arm.home)]), 0.05)
+        goal = Target(position, rotation).of_task(arm.task)
+        postures = solve_ik(arm, position, goal.rotation, np.stack([before, np.array(arm.home)]), 0.05, goal.only_axis)
         if not len(postures):
             raise InputError(f"goal {number} of the motion is out of this arm's reach: give a bag instead (--bag)")
         between = before + np.linspace(0.0, 1.0, _STEPS)[:, None] * (postures[0] - before)

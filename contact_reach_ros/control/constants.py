@@ -45,7 +45,7 @@ def make_constants(
 
     `period`: nominal time between joint states, s, for which the damping of joints stays stable.
     """
-    impedance, limits = impedance or ImpedanceSettings(), limits or LimitSettings()
+    impedance, limits = (impedance or ImpedanceSettings()).resolve(arm), limits or LimitSettings()
     supervision = supervision or SupervisionSettings()
     torques, speeds = arm.torque_limits, arm.velocity_limits
     values: dict[Constant, Array | float] = {

@@ -67,7 +67,7 @@ class Controller:
         period: float = 0.001,
         hold: Sequence[float] | None = None,
     ) -> None:
-        """Raise `SettingsError` if the gains are not stable at this rate.
+        """Raise `SettingsError` if the arm cannot hold the task, or the gains are not stable at this rate.
 
         Parameters
         ----------
@@ -78,6 +78,7 @@ class Controller:
         hold
             Torque (n,) up to which a stop holds a joint, N m: the budget's hand-over limits; the arm's by default.
         """
+        settings = settings.resolve(arm)
         check_gains(arm, settings.impedance, period)
         self.arm = arm
         self.settings = settings

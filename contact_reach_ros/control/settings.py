@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
+from contact_reach_ros.arm.task import TASK_ROWS
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.settings import Sections, Settings, setting
+from contact_reach_ros.settings import ArmDefaults, Sections, Settings, setting
 
-POSE, AXIS, POSITION = "pose", "position_and_axis", "position"
-TASK_ROWS = {POSE: 6, AXIS: 5, POSITION: 3}
-"""Rows that law (1) controls, by the setting `task`: translation and rotation, translation and the direction of the
-tip's z axis, or translation alone."""
+AUTO = "auto"
+"""Task: the one with most rows that the arm can hold."""
 
 BODY_STIFFNESS = 75e3
 """Of a hand, N/m (ISO/TS 15066): the stiffest body that the caps are for."""
 IMPACT_ENERGY = 0.13
-"""Kinetic energy in the direction of a point's motion beyond which the arm is not driven, J: that body is hit with 140
-N."""
+"""Kinetic energy in the direction of a point's motion beyond which the arm is not driven, J: a body of 75 N/mm is hit
+with 140 N."""
 SINGULARITY_FLOOR = 0.03
 """Eigenvalues of J M⁻¹ Jᵀ below this are lifted, 1/kg, which bounds Λ: it costs less than 1 mm
 while the elbow is bent by 0.4 rad, see docs/control.md."""
@@ -29,7 +29,9 @@ class ImpedanceSettings(Settings):
     """Gains of the laws (1) and (2), which multiply the identity as in the paper's Section V, and their references."""
 
     task: str = setting(
-        POSE, "what law (1) controls of the tip; the rest is left to the null space", choices=tuple(TASK_ROWS)
+        AUTO,
+        "what law (1) controls of the tip; the rest is left to the null space; auto for as much as the arm can hold",
+        choices=(AUTO, *TASK_ROWS),
     )
     task_stiffness: float = setting(880.0, "Kp of law (1)", unit="1/s²", minimum=0.0, maximum=2500.0)
     task_damping: float = setting(100.0, "Kd of law (1)", unit="1/s", minimum=0.0, maximum=300.0)
@@ -45,8 +47,22 @@ class ImpedanceSettings(Settings):
 
     @property
     def rows(self) -> int:
-        """Number m of rows that law (1) controls."""
+        """Number m of rows that law (1) controls, of settings that are resolved for an arm."""
         return TASK_ROWS[self.task]
+
+    def resolve(self, arm: ArmDefaults) -> Self:
+        """These settings with the task that the arm can hold in place of `auto`.
+
+        Raises `SettingsError` if it cannot hold that of the settings.
+        """
+        task, most = arm.task if self.task == AUTO else self.task, TASK_ROWS[arm.task]
+        if TASK_ROWS[task] > most:
+            fit = ", ".join(name for name, rows in TASK_ROWS.items() if rows <= most)
+            raise SettingsError(
+                f"impedance.task = {task} has {TASK_ROWS[task]} rows, but the arm's {arm.n} joints can hold {most}; "
+                f"expected one of {AUTO}, {fit}"
+            )
+        return dataclasses.replace(self, task=task)
 
 
 @dataclass(frozen=True)
@@ -152,6 +168,10 @@ class ControllerSettings:
     def from_sections(cls, sections: Mapping[str, Any]) -> ControllerSettings:
         """The settings out of those of a node, by parameter prefix as in `CONTROLLER_SECTIONS`."""
         return cls(*(sections[prefix] for prefix in CONTROLLER_SECTIONS))
+
+    def resolve(self, arm: ArmDefaults) -> ControllerSettings:
+        """These settings for an arm, as `ImpedanceSettings.resolve`."""
+        return dataclasses.replace(self, impedance=self.impedance.resolve(arm))
 
 
 CONTROLLER_SECTIONS: Sections = {

@@ -13,6 +13,7 @@ from contact_reach_ros.arm.capsule_fit import POOR
 from contact_reach_ros.arm.capsules import overlapping_pairs, pair_distances, shape_name, shapes
 from contact_reach_ros.arm.mount import in_words
 from contact_reach_ros.arm.table import table_text
+from contact_reach_ros.arm.task import TASK_ROWS
 from contact_reach_ros.arm.urdf_reader import Reading, read_arm_file
 from contact_reach_ros.arms import ENDINGS, load_arm
 from contact_reach_ros.resources import write_text
@@ -39,6 +40,7 @@ def check_arm(name: str, table: Path | None = None) -> None:
         f"{list(arm.shoulder)} m"
     )
     console.print(in_words(arm), markup=False)
+    console.print(f"task: {arm.task}, the most that its {arm.n} joints can hold ({TASK_ROWS[arm.task]} of 6 rows)")
     console.print(_joints(arm))
     capsules = Table("capsule on", "radius m", "length m", "volume / hull")
     for number, capsule in enumerate(shapes(arm)):

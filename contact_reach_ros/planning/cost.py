@@ -158,7 +158,8 @@ PAPER_SIGMA = 0.01
 
 def make_objective(arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> Objective:
     """The cost over the transfer function that `settings.pipeline` names."""
-    system = System(arm_model(arm), gains, settings.contact_stiffness, settings.knot_duration / settings.substeps)
+    timestep = settings.knot_duration / settings.substeps
+    system = System(arm_model(arm), gains.resolve(arm), settings.contact_stiffness, timestep)
     arguments = (system, settings.horizon, settings.substeps)
     if settings.pipeline == "closed_loop":
         return Objective(*arguments)
@@ -194,8 +195,9 @@ class ReferenceSpace:
 
     def __init__(self, arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> None:
         self.objective = make_objective(arm, settings, gains)
-        moves_posture = arm.n > gains.rows
-        self._planned = np.r_[: gains.rows, N_TASK : N_TASK + moves_posture * arm.n]
+        rows = self.objective.system.gains.rows
+        moves_posture = arm.n > rows
+        self._planned = np.r_[:rows, N_TASK : N_TASK + moves_posture * arm.n]
         self.bounds = np.tile(knot_bounds(arm, settings)[self._planned], settings.horizon)
         self.spread = np.full_like(self.bounds, SIGMA) if settings.sampling == BOUNDS else PAPER_SIGMA / self.bounds
         self.vectors = settings.horizon

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections import deque
 from collections.abc import Callable
@@ -11,7 +10,6 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.settings import AXIS, POSE, POSITION
 from contact_reach_ros.errors import InputError, PlanningError, UnreachableError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.location import Contact
@@ -124,7 +122,7 @@ class Planner:
         settings: ReplanningSettings,
         unexpected_contact: UnexpectedContactSettings,
         refuse: Callable[[str, InputError], None] | None = None,
-        task: str = POSE,
+        task: str = "",
         budget: ContactBudget | None = None,
     ) -> None:
         """Plan with `core`.
@@ -141,12 +139,13 @@ class Planner:
             Called for a goal that waited for a joint state and proved unreachable, and for plans that are due while it
             is not known where the obstacles are, whose errors are raised by default.
         task
-            What law (1) controls, see `ImpedanceSettings`; only so much of the orientation of goals counts.
+            What law (1) controls, see `ImpedanceSettings`, by default what the arm can hold; only so much of the
+            orientation of goals counts.
         budget
             Of the observer; None for the default.
         """
         self.core = core
-        self._task = task
+        self._task = task or arm.task
         self._explanation = (
             Explanation(arm, budget or ContactBudget()) if unexpected_contact.reaction == GIVE_WAY else None
         )
@@ -325,11 +324,7 @@ class Planner:
         InputError
             If the goal cannot be reached, see `Task.resolve` and `check_goal`.
         """
-        target = goal.resolve(self._arm, self._model.tip_pose(state.q)[1])
-        if self._task == POSITION:
-            target = Target(target.position)
-        elif self._task == AXIS:
-            target = dataclasses.replace(target, only_axis=target.rotation is not None)
+        target = goal.resolve(self._arm, self._model.tip_pose(state.q)[1]).of_task(self._task)
         check_goal(self._arm, target, self.obstacles.spheres.environment, state.q)
         return target
 

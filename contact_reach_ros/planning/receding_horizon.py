@@ -99,6 +99,7 @@ class RecedingHorizonPlanner:
         solver: Callable[[CostFunction, int, PlanningSettings], Solver] = HybridSolver,
     ) -> None:
         configure_jax(cache_directory() / "jax")
+        controller = controller.resolve(arm)
         gains = controller.impedance
         self.basis = plan_basis(arm, controller)
         self._arm = arm

@@ -21,7 +21,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.control.settings import AXIS, IMPACT_ENERGY, POSE, LimitSettings
+from contact_reach_ros.arm.task import AXIS, POSE
+from contact_reach_ros.control.settings import IMPACT_ENERGY, LimitSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion

@@ -18,6 +18,7 @@ from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.placing import capsule_links, free_path, on_hand, postures_at, target_clearance
 from contact_reach_ros.settings import Settings
 from contact_reach_ros.world.collision import capsule_segments
+from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.obstacle import ObstacleSettings, WallSettings
 from contact_reach_ros.world.scene_file import SceneFile, TargetSettings
 
@@ -89,7 +90,7 @@ def with_gap(section: ObstacleSettings, arm: Arm, postures: Array) -> ObstacleSe
 def _height(arm: Arm, q: Array, depth: float) -> float:
     """Height of the part of hand and forearm that is at most `depth` behind the tip along x, in a posture (n,), m."""
     starts, ends = capsule_segments(arm, q)
-    beyond, radii = capsule_links(arm) >= _FOREARM_LINK, shape_radii(arm)[moving(arm), None]
+    beyond, radii = capsule_links(arm) >= min(_FOREARM_LINK, arm.n), shape_radii(arm)[moving(arm), None]
     points = starts[:, None] + _POINTS[:, None] * (ends - starts)[:, None]
     counts = beyond[:, None] & (points[..., 0] >= link_frames(arm, q)[1][-1][0] - depth)
     above, below = points[..., 2] + radii, points[..., 2] - radii
@@ -140,7 +141,10 @@ def _postures(arm: Arm, position: Array, seeds: Array) -> Array:
     out = rotations[-2][:, 2] if arm.tip_offset[2] >= 0.0 else -rotations[-2][:, 2]
     forward = Rotation.align_vectors([[1.0, 0.0, 0.0]], [out])[0].as_matrix() @ rotations[-1]
     rolls = [Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix() for angle in 2.0 * np.pi / _ROLLS * np.arange(_ROLLS)]
-    found = np.concatenate([solve_ik(arm, position, roll @ forward, seeds, _LIMIT_MARGIN) for roll in rolls])
+    goals = [Target(position, roll @ forward).of_task(arm.task) for roll in rolls]
+    found = np.concatenate(
+        [solve_ik(arm, position, goal.rotation, seeds, _LIMIT_MARGIN, goal.only_axis) for goal in goals]
+    )
     pairs = np.array(self_pairs(arm)).reshape(-1, 2)
     if not len(found) or not len(pairs):
         return found

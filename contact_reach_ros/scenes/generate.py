@@ -252,7 +252,8 @@ def _rigid_conflict(scene: Scene) -> str:
     if not np.isfinite(scene.target).all():
         return ""
     try:
-        check_hand(arm, Target(scene.target, link_frames(arm, scene.start)[0][-1]), scene.environment)
+        target = Target(scene.target, link_frames(arm, scene.start)[0][-1])
+        check_hand(arm, target.of_task(arm.task), scene.environment)
     except InputError as error:
         return str(error)
     return ""

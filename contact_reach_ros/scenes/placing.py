@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Arm, Array, link_frames, rotation_about
 from contact_reach_ros.arm.capsules import moving, shape_radii, shape_segments
-from contact_reach_ros.arm.inverse_kinematics import solve_ik
+from contact_reach_ros.arm.inverse_kinematics import pose_errors, solve_ik
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.world.collision import capsule_segments, overlap_depths
+from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.obstacle import BallSettings, ObstacleSettings, WallSettings
 
 _REACH = 0.85
@@ -46,8 +47,6 @@ MIN_MOBILITY, MIN_MOBILITY_SHARE = 0.05, 0.64
 """Smallest eigenvalue of J M⁻¹ Jᵀ below which a configuration counts as singular, 1/kg; for an arm whose best one has
 less than 0.08, a share of that."""
 _MOBILITY_POSTURES = 500
-_POSE = 6
-"""Number of joints that it takes to hold an orientation on the way."""
 
 _STEP = 0.004
 """Of a free path along its line, m."""
@@ -55,8 +54,6 @@ _SETTLING = 5
 """Iterations at the end of a free path."""
 _PATH_MARGIN, _POSTURE_MARGIN = 0.2, 0.1
 """Least distances of joints from their limits along a free path, and in postures with one tip pose, rad."""
-_HAND_LINKS = 2
-"""Number of links, counted from the tip, that make up the hand."""
 _FIRST_MIDDLE_LINK = 3
 _MEETING = 1e-6
 """Distance up to which axes meet, m."""
@@ -151,16 +148,29 @@ def place_walls(walls: WallSettings, arm: Arm, path: Array, random: np.random.Ge
 
 @functools.cache
 def least_mobility(arm: Arm) -> float:
-    """Smallest eigenvalue of J M⁻¹ Jᵀ, 1/kg, below which a configuration of this arm counts as singular."""
+    """Smallest eigenvalue of J M⁻¹ Jᵀ, 1/kg, below which a configuration of this arm counts as singular.
+
+    J has the rows of the arm's `task`.
+    """
     model, best = RobotModel(arm), 0.0
-    for q in np.random.default_rng(0).uniform(arm.lower, arm.upper, (_MOBILITY_POSTURES, arm.n)):
-        model.update(q, np.zeros(arm.n))
-        best = max(best, model.smallest_mobility())
+    goal = Target(np.zeros(3), np.eye(3)).of_task(arm.task)
+    postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_MOBILITY_POSTURES, arm.n))
+    _, jacobians = pose_errors(arm, goal.position, goal.rotation, postures, goal.only_axis)
+    for q, jacobian in zip(postures, jacobians, strict=True):
+        model.update_dynamics(q)
+        best = max(best, _smallest_mobility(jacobian, model.mass_matrix))
     return min(MIN_MOBILITY, MIN_MOBILITY_SHARE * best)
 
 
+def _smallest_mobility(jacobian: Array, mass_matrix: Array) -> float:
+    """Smallest eigenvalue of J M⁻¹ Jᵀ, 1/kg: zero where the arm is singular."""
+    return float(np.linalg.eigvalsh(jacobian @ np.linalg.solve(mass_matrix, jacobian.T))[0])
+
+
 def free_path(model: RobotModel, start: Array, target: Array) -> Array:
-    """Joint angles (N, n) along the straight line to a flange position, orientation held, least joint motion.
+    """Joint angles (N, n) along the straight line to a flange position with the least joint motion.
+
+    The orientation is held as far as the arm's `task` controls it.
 
     Inverse kinematics in steps of a few millimetres with the dynamically consistent inverse, as the impedance law would
     move the arm.
@@ -172,23 +182,20 @@ def free_path(model: RobotModel, start: Array, target: Array) -> Array:
         limit; the message, without the target, says which, and names the joint.
     """
     arm, least = model.arm, least_mobility(model.arm)
-    if arm.n < _POSE:
-        raise SceneError(f"{arm.n} joints cannot hold the tip's orientation; expected an arm with at least {_POSE}")
     lower, upper = arm.lower + _PATH_MARGIN, arm.upper - _PATH_MARGIN
-    q, v = start.copy(), np.zeros_like(start)
-    model.update(q, v)
-    origin, rotation = model.position.copy(), model.rotation.copy()
+    q, (origin, rotation) = start.copy(), model.tip_pose(start)
+    held = Target(origin, rotation).of_task(arm.task)
     count = int(np.ceil(np.linalg.norm(target - origin) / _STEP))
     path = [q.copy()]
     for share in (*np.linspace(0.0, 1.0, count + 1)[1:], *np.ones(_SETTLING)):
-        error = np.empty(6)
-        error[:3] = model.position - origin - share * (target - origin)
-        error[3:] = 0.5 * sum(np.cross(rotation[:, k], model.rotation[:, k]) for k in range(3))
-        if model.smallest_mobility() < least:
+        here = origin + share * (target - origin)
+        (error,), (jacobian,) = pose_errors(arm, here, held.rotation, q[None], held.only_axis)
+        model.update_dynamics(q)
+        if _smallest_mobility(jacobian, model.mass_matrix) < least:
             where = "comes near a singularity on the way" if len(path) > 1 else "starts near a singularity"
             raise SceneError(f"the arm {where}: its mobility is below {least:.2g} 1/kg")
-        inverse_mass_jacobian = np.linalg.solve(model.mass_matrix, model.jacobian.T)
-        q = q - inverse_mass_jacobian @ np.linalg.solve(model.jacobian @ inverse_mass_jacobian, error)
+        inverse_mass_jacobian = np.linalg.solve(model.mass_matrix, jacobian.T)
+        q = q - inverse_mass_jacobian @ np.linalg.solve(jacobian @ inverse_mass_jacobian, error)
         if ((q < lower) | (q > upper)).any():
             joint = int(np.maximum(lower - q, q - upper).argmax())
             end = "upper" if q[joint] > upper[joint] else "lower"
@@ -196,8 +203,7 @@ def free_path(model: RobotModel, start: Array, target: Array) -> Array:
                 f"joint '{arm.joint_names[joint]}' comes within {_PATH_MARGIN} rad of its {end} limit on the way"
             )
         path.append(q.copy())
-        model.update(q, v)
-    if np.linalg.norm(model.position - target) >= 1e-3:
+    if np.linalg.norm(model.tip_pose(q)[0] - target) >= 1e-3:
         raise SceneError("the arm does not get there")
     return np.array(path)
 
@@ -208,16 +214,21 @@ def capsule_links(arm: Arm) -> NDArray[np.intp]:
     return np.array([capsule.link for capsule in arm.capsules], np.intp)
 
 
+def _wrist(arm: Arm) -> int:
+    """Number of the hand's first link, counted from 1: the last but one, or the last of four and fewer."""
+    return arm.n - (arm.n > 4)
+
+
 @functools.cache
 def on_hand(arm: Arm) -> NDArray[np.bool_]:
-    """(C,) true for capsules on the hand: the last two links."""
-    return capsule_links(arm) > arm.n - _HAND_LINKS
+    """(C,) true for capsules on the hand."""
+    return capsule_links(arm) >= _wrist(arm)
 
 
 @functools.cache
 def on_middle(arm: Arm) -> NDArray[np.bool_]:
-    """(C,) true for capsules on elbow and forearm: the links from the third to the hand."""
-    return (capsule_links(arm) >= _FIRST_MIDDLE_LINK) & ~on_hand(arm)
+    """(C,) true for capsules on elbow and forearm: the links from the third to the hand, or the last before it."""
+    return (capsule_links(arm) >= min(_FIRST_MIDDLE_LINK, _wrist(arm) - 1)) & ~on_hand(arm)
 
 
 def path_segments(arm: Arm, path: Array) -> tuple[Array, Array]:
@@ -236,7 +247,7 @@ def swivelled_segments(arm: Arm, q: Array, angles: Array) -> tuple[Array, Array]
     starts, ends = capsule_segments(arm, q)
     _, origins = link_frames(arm, q)
     shoulder = np.array(arm.shoulder)
-    axis = origins[arm.n - _HAND_LINKS] - shoulder
+    axis = origins[_wrist(arm) - 1] - shoulder
     axis /= np.linalg.norm(axis)
     turns = np.array([rotation_about(axis, angle) for angle in angles])
 
@@ -253,7 +264,7 @@ def holding_segments(arm: Arm, q: Array) -> tuple[Array, Array]:
     Swivelled ones, if the last three axes meet; otherwise those that were found within the joint limits.
     """
     rotations, origins = link_frames(arm, q)
-    wrist = origins[arm.n - _HAND_LINKS]
+    wrist = origins[_wrist(arm) - 1]
     if arm.n == 7 and all(
         np.linalg.norm(np.cross(rotations[joint][:, 2], origins[joint] - wrist)) < _MEETING for joint in (-4, -2)
     ):
@@ -262,8 +273,12 @@ def holding_segments(arm: Arm, q: Array) -> tuple[Array, Array]:
 
 
 def postures_at(arm: Arm, position: Array, rotation: Array) -> Array:
-    """Postures (N, n) with a tip pose, from random ones: those of a redundant arm lie along its free dimension."""
+    """Postures (N, n) with a tip pose, as far as the arm's `task` controls it, from random ones.
+
+    Those of a redundant arm lie along its free dimensions.
+    """
     seeds = np.random.default_rng(0).uniform(
         np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi), (_SEEDS, arm.n)
     )
-    return solve_ik(arm, position, rotation, seeds, _POSTURE_MARGIN)
+    goal = Target(position, rotation).of_task(arm.task)
+    return solve_ik(arm, position, goal.rotation, seeds, _POSTURE_MARGIN, goal.only_axis)

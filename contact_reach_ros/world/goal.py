@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import Arm, Array, checked_array
 from contact_reach_ros.arm.inverse_kinematics import unreachable
+from contact_reach_ros.arm.task import AXIS, POSITION
 from contact_reach_ros.errors import InputError
 
 HOLD, POSE, FREE = ORIENTATIONS = ("hold", "pose", "free")
@@ -58,6 +59,12 @@ class Target:
         # ‖R - R'‖ / √2 is 2 sin(angle / 2), and so is ‖z - z'‖.
         error, most = (self.rotation - rotation)[:, 2 if self.only_axis else slice(None)], 2.0 * math.sqrt(2.0)
         return 2.0 * math.asin(min(1.0, float(np.linalg.norm(error)) / (2.0 if self.only_axis else most)))
+
+    def of_task(self, task: str) -> Target:
+        """The target without what a task, of `TASK_ROWS`, does not control of the orientation."""
+        if task == POSITION:
+            return Target(self.position)
+        return replace(self, only_axis=self.rotation is not None) if task == AXIS else self
 
     def same_as(self, other: Target | None) -> bool:
         """Whether both ask for the same pose, to 1 mm and 10 mrad, so that plans for one are a start for the other."""
@@ -121,7 +128,7 @@ class Goal:
                 raise InputError(f"goal: {name} = {getattr(self, name)}; expected a positive {what}")
 
     def resolve(self, arm: Arm, present_rotation: Array) -> Target:
-        """The pose to plan for, given the tip's present rotation (3, 3).
+        """The pose to plan for, as far as the arm can hold it, given the tip's present rotation (3, 3).
 
         Raises
         ------
@@ -138,12 +145,12 @@ class Goal:
         if reason:
             raise InputError(f"goal: position {reason}")
         if isinstance(self.orientation, str):
-            return Target(position, present_rotation if self.orientation == HOLD else None)
+            return Target(position, present_rotation if self.orientation == HOLD else None).of_task(arm.task)
         quaternion = np.array(self.orientation, dtype=float)
         length = float(np.linalg.norm(quaternion))
         if not (np.isfinite(length) and abs(length - 1.0) < 0.01):
             raise InputError(f"goal: orientation = {quaternion.tolist()}; expected a unit quaternion x, y, z, w")
-        return Target(position, Rotation.from_quat(quaternion / length).as_matrix())
+        return Target(position, Rotation.from_quat(quaternion / length).as_matrix()).of_task(arm.task)
 
     def reached(self, position: Array, target: Target) -> bool:
         """Whether the tip at `position` (3,), m, base frame, is where `target` asks it to be."""

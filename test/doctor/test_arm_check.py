@@ -17,6 +17,7 @@ def test_a_urdf_is_checked_and_written_as_a_table(tmp_path, capsys):
     for expected in (
         "7 joints from lbr_link_0 to lbr_link_ee",
         "gravity 9.81 m/s² along -z of lbr_link_0",
+        "task: pose, the most that its 7 joints can hold (6 of 6 rows)",
         "assumed: home",
     ):
         assert expected in said.replace("\n", " ")

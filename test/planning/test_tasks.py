@@ -1,4 +1,4 @@
-"""What law (1) controls, with six joints and with seven: model, variables and plans follow it."""
+"""What law (1) controls, with four to seven joints: model, variables and plans follow it."""
 
 import jax
 import jax.numpy as jnp
@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_simulation import ARM, NO_FRICTION
+from few_joints import few_joints
 from planning_helpers import PERMITTED_FORCE, SMALL
 from six_axis import SIX_AXIS
 
@@ -30,13 +31,15 @@ pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 UPPER_ARM = 1
 """The second of the two capsules on link_2 of the arm with six joints."""
-POSE, AXIS, POSITION = (
-    ImpedanceSettings(task=task, reference_ramp=0.0) for task in ("pose", "position_and_axis", "position")
+POSE, AXIS, POSITION, AUTO = (
+    ImpedanceSettings(task=task, reference_ramp=0.0) for task in ("pose", "position_and_axis", "position", "auto")
 )
 CASES = {
     "six joints, pose": (SIX_AXIS, POSE, 6),
     "six joints, position": (SIX_AXIS, POSITION, 3 + 6),
     "seven joints, position and axis": (ARM, AXIS, 5 + 7),
+    "five joints, as much as they can hold": ("zyyzy", AUTO, 5),
+    "four joints, as much as they can hold": ("zyyy", AUTO, 3 + 4),
 }
 LANES = 4
 SIX_HOME, SIX_REST = np.array(SIX_AXIS.home), np.zeros(SIX_AXIS.n)
@@ -45,6 +48,7 @@ SIX_HOME, SIX_REST = np.array(SIX_AXIS.home), np.zeros(SIX_AXIS.n)
 @pytest.mark.parametrize("case", CASES)
 def test_variables_are_what_has_an_effect_and_the_model_moves_as_the_arm_does(case):
     arm, gains, variables = CASES[case]
+    arm = few_joints(arm) if isinstance(arm, str) else arm
     space = ReferenceSpace(arm, SMALL, gains)
     assert len(space.bounds) == SMALL.horizon * variables
     random = np.random.default_rng(0)

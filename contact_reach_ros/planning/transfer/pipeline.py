@@ -26,7 +26,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.control.settings import AXIS, POSE, SINGULARITY_FLOOR, ImpedanceSettings
+from contact_reach_ros.arm.task import AXIS, POSE
+from contact_reach_ros.control.settings import SINGULARITY_FLOOR, ImpedanceSettings
 from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, contact_step
 from contact_reach_ros.planning.transfer.dynamics import Dynamics, Frames, arm_dynamics, flange_drift, link_frames
 from contact_reach_ros.planning.transfer.lanes import cross, dot, make_keep, ratio, root, rotate
