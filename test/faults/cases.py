@@ -107,7 +107,7 @@ def shortcomings(case: Case, result, limits) -> list[str]:
 
 
 _WATCHDOG = "drive: no command for"
-_TORQUE = "observer: (sudden )?external torque"
+_TORQUE = "observer: (at hand-over )?(sudden )?external torque"
 _NO_PLAN = "controller: no valid plan"
 _NO_OBSERVER = "controller: observer silent"
 
