@@ -276,7 +276,9 @@ class TestWhereScenesStand:
         np.testing.assert_allclose(load_scene("ball", stood, 1, target).target, target, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", MOUNTS)
+@pytest.mark.parametrize(
+    "name", [name if name == "ceiling" else pytest.param(name, marks=pytest.mark.slow) for name in MOUNTS]
+)
 def test_walls_stand_one_above_the_other(name):
     arm = dataclasses.replace(load_arm("ur10"), gravity=mounted(MOUNTS[name]))
     scene = load_scene("wall", arm, 0)
