@@ -286,6 +286,7 @@ def test_pairs_that_overlap_at_home_are_named(tmp_path, capsys):
         assert f"{first} and {second} (by " in said
 
 
+@pytest.mark.slow
 def test_a_home_that_nobody_gave_drops_no_pair(tmp_path):
     for name, (links, options) in MOUNTED.items():
         options = {"tip": "left_tool" if "left" in links else "tool", **options}
