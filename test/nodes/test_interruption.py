@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -40,16 +39,14 @@ def is_handled(process, number):
 
 
 @pytest.mark.parametrize(("number", "seconds"), [(signal.SIGINT, 0.0), (signal.SIGTERM, 1.0)])
-def test_a_node_that_is_still_starting_ends_well(number, seconds):
-    process = subprocess.Popen(
-        executable("planner"), env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
-    wait_for(lambda: is_handled(process, signal.SIGINT), 30, "Python up")
-    wait_for(lambda: not is_handled(process, signal.SIGINT), 30, "signals left to the system")
-    time.sleep(seconds)
-    process.send_signal(number)
-    printed, _ = process.communicate(timeout=30)
-    assert process.returncode == -number and not printed
+def test_a_node_that_is_still_starting_ends_well(number, seconds, tmp_path):
+    output = tmp_path / "output.txt"
+    with running(executable("planner"), environment(), output) as process:
+        wait_for(lambda: is_handled(process, signal.SIGINT), 60, "Python up")
+        wait_for(lambda: not is_handled(process, signal.SIGINT), 60, "signals left to the system")
+        time.sleep(seconds)
+        process.send_signal(number)
+        assert process.wait(30) == -number and not output.read_text()
 
 
 def test_a_recorder_that_is_interrupted_at_once_completes_its_bag(tmp_path):
