@@ -35,18 +35,9 @@ def bench_population(
     file: Path | None = None,
     settings: PlanningSettings | None = None,
 ) -> Report:
-    """Time the steps; print a table and write JSON to `file`.
+    """Time the steps with each number of candidates; print a table and write JSON to `file`.
 
-    Parameters
-    ----------
-    scenes
-        Names or files.
-    candidates
-        Values of `planning.population`.
-    states
-        To start from in each scene, at least 2.
-    settings
-        Of the planner, whose closed-loop runs have the states.
+    Other parameters are those of `bench_solver`.
     """
     settings = dataclasses.replace(settings or PlanningSettings(), deadline=0.0)
     rows = []
