@@ -377,7 +377,7 @@ def body_shares(
     for i in range(len(q)):
         speed_share = max(speed_share, abs(v[i]) / constants[Constant.JOINT_SPEED, i])
     leading = solve_upper(mass_factor, solve_lower(mass_factor, driving[0]))
-    folding = solve_upper(mass_factor, solve_lower(mass_factor, driving[1]))
+    speeding = leading + solve_upper(mass_factor, solve_lower(mass_factor, driving[1]))
     slowing = solve_upper(mass_factor, solve_lower(mass_factor, braking))
     rotations, origins = joint_frames(placements, q)
     for index in range(len(links)):
@@ -388,15 +388,16 @@ def body_shares(
             energy = 0.5 * speed * speed * moving_mass(rows, motion / speed, mass_factor)
             by_energy = np.sqrt(energy / constants[Constant.IMPACT_ENERGY, 0])
             speed_share = max(speed_share, speed / constants[Constant.BODY_SPEED, 0], by_energy)
-        lead, fold = times(rows.T, leading), times(rows.T, folding)
-        push = lead + fold
+        push = times(rows.T, speeding)
         acceleration = norm(push)
         if acceleration > 1e-3:
             mass = moving_mass(rows, push / acceleration, mass_factor)
-            way = norm(lead) / max(constants[Constant.TASK_STIFFNESS, 0], 1e-9)
-            way += norm(fold) / max(constants[Constant.NULL_STIFFNESS, 0], 1e-9)
             blocked = push_share(push, times(rows.T, slowing), most / mass)
-            share = min(share, max(blocked, most / (constants[Constant.BODY_STIFFNESS, 0] * way)))
+            if blocked < share:
+                lead = times(rows.T, leading)
+                way = norm(lead) / max(constants[Constant.TASK_STIFFNESS, 0], 1e-9)
+                way += norm(push - lead) / max(constants[Constant.NULL_STIFFNESS, 0], 1e-9)
+                share = min(share, max(blocked, most / (constants[Constant.BODY_STIFFNESS, 0] * way)))
     return speed_share, share
 
 
