@@ -15,7 +15,7 @@ import numpy as np
 from contact_reach_ros.arm import Array
 from contact_reach_ros.bringup.processes import BringupOptions, page_address, stack_arm
 from contact_reach_ros.bringup.stack_processes import StackProcesses
-from contact_reach_ros.errors import BagError, ContactReachError
+from contact_reach_ros.errors import BagError, ContactReachError, InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.goal_state import describe
 from contact_reach_ros.planning.goal_progress import GoalPhase
@@ -110,6 +110,9 @@ def _run(options: DemoOptions) -> tuple[int, float]:
             except KeyboardInterrupt:
                 # With the page, Ctrl-C ends a stack whose episode is over.
                 interrupted = not is_over
+            except InputError:
+                # A stack that was discovered late is refused as one that was seen before the first process.
+                raise
             except ContactReachError as error:
                 failure = str(error)
             _say("ending the stack", done=True)
