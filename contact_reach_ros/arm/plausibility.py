@@ -25,6 +25,8 @@ _LEAST_SHARE = 1e-3
 _POSTURES = 500
 _LIGHT = 0.05
 """Mass by volume of the capsules, kg per litre, below which the masses are hardly real; robots have 0.3 to 2."""
+_SPECK = 1e-4
+"""Share of the moving mass below which a link's is hardly real."""
 _WIDE = 0.25
 """Radius of gyration by the arm's reach above which an inertia is hardly real; rods of half the reach have 0.15."""
 _ALIKE = 3
@@ -138,6 +140,9 @@ def doubts(model: RobotModel) -> list[str]:
     litres = 1e3 * sum(volume(np.array(shape.start), np.array(shape.end), shape.radius) for shape in arm.capsules)
     if mass < _LIGHT * litres:
         found.append(f"inertias: the moving links weigh {mass:.3g} kg in {litres:.3g} litres; these are placeholders")
+    pairs = zip(arm.link_names, inertias, strict=True)
+    if specks := [f"{link} ({each.mass:.2g} kg)" for link, each in pairs if each.mass < _SPECK * mass]:
+        found.append(f"inertias: next to none of {mass:.3g} kg is on {', '.join(specks)}; these are placeholders")
     for what, values in (("masses", [each.mass for each in inertias]), ("tensors", [each.tensor for each in inertias])):
         count = Counter(values).most_common(1)[0][1]
         if count >= _ALIKE and count > 0.5 * arm.n:

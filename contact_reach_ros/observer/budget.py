@@ -11,7 +11,7 @@ from contact_reach_ros.settings import Settings, read_yaml, setting
 BUDGET = "budget"
 """Prefix of the contact budget among the settings that nodes report: it comes from a file of its own."""
 
-MAX_THRESHOLD = 320.0
+MAX_THRESHOLD = 10000.0
 """Greatest threshold of a joint, Nm."""
 
 
