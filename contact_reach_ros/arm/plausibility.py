@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.assumptions import inertias_at_home
 from contact_reach_ros.arm.capsule_fit import volume
 from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
 from contact_reach_ros.arm.model import RobotModel
@@ -25,6 +26,8 @@ _LEAST_SHARE = 1e-3
 _POSTURES = 500
 _LIGHT = 0.05
 """Mass by volume of the capsules, kg per litre, below which the masses are hardly real; robots have 0.3 to 2."""
+_SLOW = 5.0
+"""Acceleration at home, rad/s², which the drives of real arms are good for; a KR 210's for 7, a UR20's for 40."""
 _SPECK = 1e-4
 """Share of the moving mass below which a link's is hardly real."""
 _WIDE = 0.25
@@ -135,6 +138,12 @@ def doubts(model: RobotModel) -> list[str]:
         f"{joint.torque_limit:g} Nm"
         for joint, torque in zip(arm.joints, most, strict=True)
         if torque > joint.torque_limit
+    ]
+    found += [
+        f"limits: {joint.name} can speed up by no more than {joint.torque_limit / inertia:.2g} rad/s² at home with its "
+        f"effort limit of {joint.torque_limit:g} Nm"
+        for joint, inertia in zip(arm.joints, inertias_at_home(arm), strict=True)
+        if joint.torque_limit < _SLOW * inertia
     ]
     mass = sum(inertia.mass for inertia in inertias)
     litres = 1e3 * sum(volume(np.array(shape.start), np.array(shape.end), shape.radius) for shape in arm.capsules)
