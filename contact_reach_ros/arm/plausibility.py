@@ -27,7 +27,7 @@ _POSTURES = 500
 _LIGHT = 0.05
 """Mass by volume of the capsules, kg per litre, below which the masses are hardly real; robots have 0.3 to 2."""
 _SLOW = 5.0
-"""Acceleration at home, rad/s², which the drives of real arms are good for; a KR 210's for 7, a UR20's for 40."""
+"""Acceleration at home, rad/s², which the drives of real arms are good for; those of a UR20 for 40."""
 _SPECK = 1e-4
 """Share of the moving mass below which a link's is hardly real."""
 _WIDE = 0.25
