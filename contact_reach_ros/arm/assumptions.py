@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from contact_reach_ros.arm.arm import Arm, Vector3
+from contact_reach_ros.arm.arrays import Array
 from contact_reach_ros.arm.capsules import pair_distances, touching_pairs
-from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many, tip_positions
+from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many, mass_matrix, tip_positions
 from contact_reach_ros.arm.mount import standing, stands
 from contact_reach_ros.arm.task import task_jacobians
 
@@ -15,6 +16,9 @@ REACH_SHARE = 0.9
 _POSTURES = 20000
 _PROPORTIONAL = 6.0
 """Stopping thresholds, N m, below which the least values of the others are in proportion."""
+_SLOW = 4.2
+"""Acceleration of the arm at home, rad/s², that a stopping threshold has to be worth to stand out: velocities with a
+noise of 1 mrad/s make one of 0.05 N m per kg m² in the observer's estimate, 7 times of which are a contact."""
 _HOME_MARGIN = 0.35
 """Least distance of the home posture from joint limits, rad, unless their range is too small for it."""
 
@@ -22,24 +26,30 @@ _HOME_MARGIN = 0.35
 def defaults(arm: Arm) -> dict[str, tuple[float, ...]]:
     """Settings with a value for each joint: thresholds in proportion to the torque limits, and q_d of law (6).
 
-    A joint stops the arm at 14 % of its torque limit, but at 8 to 30 N m, or at half the limit where that is less; the
-    others are shares of this one. Those of the iiwa 14, which were chosen by measurement, are met within 1.5 N m.
-    Small joints, such as those of servos, have all of them in proportion.
+    A joint stops the arm at 14 % of its torque limit, but at 8 to 30 N m, or more where its inertia demands it, or at
+    half the limit where that is less; the others are shares of this one. Those of the iiwa 14, which were chosen by
+    measurement, are met within 1.5 N m. Small joints, such as those of servos, have all of them in proportion.
     """
     limits = arm.torque_limits
-    stop = np.minimum(np.clip(0.14 * limits, 8.0, 30.0), 0.5 * limits)
+    most = np.maximum(30.0, _SLOW * inertias_at_home(arm))
+    stop = np.minimum(np.clip(0.14 * limits, 8.0, most), 0.5 * limits)
     small = np.minimum(stop / _PROPORTIONAL, 1.0)
     shares = {
         "torque_thresholds": stop,
-        "torque_per_speed": np.clip(stop / 15.0, small, 2.0),
+        "torque_per_speed": np.maximum(stop / 15.0, small),
         "sudden_thresholds": 0.4 * stop,
-        "contact_thresholds": np.clip(stop / 12.0, 1.4 * small, 2.5),
-        "contact_per_speed": np.clip(stop / 30.0, 0.5 * small, 1.0),
-        "handover_thresholds": np.clip(0.25 * stop, 3.0 * small, 10.0),
+        "contact_thresholds": np.maximum(stop / 12.0, 1.4 * small),
+        "contact_per_speed": np.maximum(stop / 30.0, 0.5 * small),
+        "handover_thresholds": np.maximum(0.25 * stop, 3.0 * small),
         # Zeros, as far as they are well within the limits.
         "reference_posture": np.clip(0.0, arm.lower + _HOME_MARGIN, arm.upper - _HOME_MARGIN),
     }
     return {name: tuple(round(float(value), 3) for value in values) for name, values in shares.items()}
+
+
+def inertias_at_home(arm: Arm) -> Array:
+    """How much momentum a speed of each joint, whatever the others' signs, gives it at home: norms of M's rows (n,)."""
+    return np.linalg.norm(mass_matrix(arm, arm.home), axis=1)
 
 
 def shoulder(arm: Arm) -> Vector3:

@@ -1,4 +1,4 @@
-"""Forward kinematics straight from an arm's table (numpy, no model library)."""
+"""Kinematics and inertia straight from an arm's table (numpy, no model library)."""
 
 from __future__ import annotations
 
@@ -90,6 +90,19 @@ def link_frames_of_many(arm: Arm, q: Array) -> tuple[Array, Array]:
 def tip_positions(arm: Arm, q: Array) -> Array:
     """Positions (N, 3) of the tip, m, base frame, for postures `q` (N, n), rad."""
     return link_frames_of_many(arm, q)[1][-1].T
+
+
+def mass_matrix(arm: Arm, q: ArrayLike) -> Array:
+    """M(q), (n, n), kg m², armature included, at `q` (n,), rad."""
+    rotations, origins = link_frames(arm, q)
+    turns, mass = np.array(rotations)[:-1, :, 2], np.diag([joint.armature for joint in arm.joints])
+    for link, inertia in enumerate(arm.inertias()):
+        moved, rotation = slice(link + 1), rotations[link]
+        center = origins[link] + rotation @ inertia.center
+        linear = np.cross(turns[moved], center - np.array(origins[moved]))
+        tensor = rotation @ tensor_matrix(inertia.tensor) @ rotation.T
+        mass[moved, moved] += inertia.mass * linear @ linear.T + turns[moved] @ tensor @ turns[moved].T
+    return mass
 
 
 def tensor_matrix(tensor: tuple[float, ...]) -> Array:

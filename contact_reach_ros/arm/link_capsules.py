@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -27,6 +27,10 @@ _RIM = 128
 """Points on the rim of a cylinder, of which they leave 0.03 % of the radius outside."""
 _SIZES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
 """Attributes of shapes."""
+_FACES = ("triangles", "polylist", "polygons", "trifans", "tristrips")
+_MOVES = ("matrix", "translate", "rotate", "scale", "lookat", "skew")
+"""Elements of COLLADA files."""
+_MEND = "give the folder of its package under packages, or the link's capsules under capsules ([] for none)"
 
 
 class Part(NamedTuple):
@@ -48,6 +52,8 @@ class LinkCapsules(NamedTuple):
     """Those that were fitted, by link; the worst of several."""
     bare: list[str]
     """Moving links without collision geometry, which have none, and the base if nothing that is fixed to it has any."""
+    without_size: list[str]
+    """Links with collision geometry that is a mere point, such as a box of size 0, which is left out."""
 
 
 def link_capsules(links: Mapping[str, Element], file: Path, options: ArmOptions, parts: Sequence[Part]) -> LinkCapsules:
@@ -57,7 +63,8 @@ def link_capsules(links: Mapping[str, Element], file: Path, options: ArmOptions,
     moving link one around its own and that of the links that are fixed to it; links with given capsules have these
     instead. The first link's belongs to the base if one around the joint's axis, which does not move, is no poor fit.
 
-    Raises `SettingsError` if a mesh cannot be read, or no moving link has collision geometry or given capsules.
+    Raises `SettingsError` if meshes are missing, all at once, or one cannot be read, or no moving link has collision
+    geometry or given capsules.
 
     Parameters
     ----------
@@ -69,7 +76,9 @@ def link_capsules(links: Mapping[str, Element], file: Path, options: ArmOptions,
     base: list[Capsule] = []
     moving: list[Capsule] = []
     fits: dict[str, Fit] = {}
-    bare = []
+    bare, without_size = [], []
+    fitted_links = [link for part in parts for link in part.places if link not in options.capsules]
+    meshes = _meshes([links[link] for link in fitted_links], file, options)
     for number, part in enumerate(parts):
         found = moving if number else base
         # By the link whose capsule is around them.
@@ -79,10 +88,14 @@ def link_capsules(links: Mapping[str, Element], file: Path, options: ArmOptions,
                 for given in options.capsules[link]:
                     start, end = (vector(place.act(np.array(point))) for point in (given.start, given.end))
                     found.append(Capsule(number, start, end, given.radius, _name(link, part, number)))
-            elif len(own := _link_balls(links[link], file, options, place, link)):
-                balls.setdefault(part.link if number else link, []).append(own)
-        for link, shapes in balls.items():
-            around = np.concatenate(shapes)
+                continue
+            shapes = _link_shapes(links[link], f"{file}: link '{link}'", meshes, place)
+            sized = [each for each in shapes if each[:, 3].any() or np.ptp(each, axis=0).any()]
+            without_size += [link] * (len(sized) < len(shapes))
+            if sized:
+                balls.setdefault(part.link if number else link, []).extend(sized)
+        for link, found_balls in balls.items():
+            around = np.concatenate(found_balls)
             fitted = [fit_capsule(around)] if number else cover(around)
             turning = fit_capsule(around, on_axis=True) if number == 1 else None
             if turning is not None and turning.volume_ratio <= max(POOR, fitted[0].volume_ratio):
@@ -98,7 +111,7 @@ def link_capsules(links: Mapping[str, Element], file: Path, options: ArmOptions,
         raise SettingsError(
             f"{file}: no moving link has collision geometry; expected some in the URDF, or some under capsules"
         )
-    return LinkCapsules(tuple(base), tuple(moving), fits, bare)
+    return LinkCapsules(tuple(base), tuple(moving), fits, bare, without_size)
 
 
 def _name(link: str, part: Part, number: int) -> str:
@@ -106,15 +119,34 @@ def _name(link: str, part: Part, number: int) -> str:
     return "" if number or link == part.link else link
 
 
-def _link_balls(element: Element, file: Path, options: ArmOptions, place: pin.SE3, name: str) -> Array:
-    """Balls (N, 4) whose convex hulls cover the collision shapes of a link at `place`."""
-    found, where = [np.zeros((0, 4))], f"{file}: link '{name}'"
+def _meshes(links: Iterable[Element], file: Path, options: ArmOptions) -> dict[str, Path]:
+    """Files of the meshes in the collision geometry of links, by the names that the robot's file has for them."""
+    found: dict[str, Path] = {}
+    missing: dict[str, str] = {}
+    for link in links:
+        for mesh in link.findall("collision/geometry/mesh"):
+            name = mesh.get("filename", "")
+            if name in found or name in missing:
+                continue
+            path = find_mesh(name, file, options.packages)
+            if path is None:
+                missing[name] = f"link '{link.get('name')}': mesh '{name}'"
+            else:
+                found[name] = path
+    if missing:
+        raise SettingsError(f"{file}: {'; '.join(missing.values())}: not found; {_MEND}")
+    return found
+
+
+def _link_shapes(element: Element, where: str, meshes: Mapping[str, Path], place: pin.SE3) -> list[Array]:
+    """For each collision shape of a link at `place`, balls (N, 4) whose convex hull covers it."""
+    found = []
     for collision in element.findall("collision"):
         at = place * placement(collision.find("origin"))
         for shape in collision.findall("geometry/*"):
-            balls = _mesh_balls(shape, file, options, where) if shape.tag == "mesh" else _balls(shape, where)
+            balls = _mesh_balls(shape, where, meshes) if shape.tag == "mesh" else _balls(shape, where)
             found.append(np.column_stack([balls[:, :3] @ at.rotation.T + at.translation, balls[:, 3]]))
-    return np.concatenate(found)
+    return found
 
 
 def _balls(shape: Element, where: str) -> Array:
@@ -142,29 +174,41 @@ def _balls(shape: Element, where: str) -> Array:
     return _points(np.concatenate([rim + end[:3] for end in ends]))
 
 
-def _mesh_balls(shape: Element, urdf: Path, options: ArmOptions, where: str) -> Array:
+def _mesh_balls(shape: Element, where: str, meshes: Mapping[str, Path]) -> Array:
     """The outer vertices of a mesh as balls (N, 4) without a radius, m."""
-    name = shape.get("filename", "")
-    path = find_mesh(name, urdf, options.packages)
-    mend = "give the folder of its package under packages, or the link's capsules under capsules ([] for none)"
-    if path is None:
-        raise SettingsError(f"{where}: mesh '{name}' is not found; {mend}")
+    path = meshes[shape.get("filename", "")]
     try:
-        scale = _unit(path) * vector_in(shape, "scale", "1 1 1")
-        vertices = np.array(coal.MeshLoader(coal.NODE_TYPE.BV_AABB).load(str(path), scale).vertices())
+        collada = ElementTree.parse(path).getroot() if path.suffix.lower() == ".dae" else None
+        unit = None if collada is None else collada.find("{*}asset/{*}unit")
+        # Metres in a unit of the file, which coal leaves aside.
+        metres = 1.0 if unit is None else float(unit.get("meter", "1"))
+        scale: Array = metres * vector_in(shape, "scale", "1 1 1")
+        vertices = np.zeros((0, 3)) if collada is None else scale * _bare_points(collada)
+        if not len(vertices):
+            vertices = np.array(coal.MeshLoader(coal.NODE_TYPE.BV_AABB).load(str(path), scale).vertices())
         outer = vertices[ConvexHull(vertices).vertices]
     except QhullError:
         # A flat one: all of it is outside.
         outer = vertices
     except (ValueError, RuntimeError, ElementTree.ParseError) as error:
-        raise SettingsError(f"{where}: mesh '{path}' cannot be read; expected a file with triangles; {mend}") from error
+        expected = "expected a file with triangles"
+        raise SettingsError(f"{where}: mesh '{path}' cannot be read; {expected}; {_MEND}") from error
     return _points(np.unique(outer, axis=0))
 
 
-def _unit(mesh: Path) -> float:
-    """Metres in a unit of a mesh, which COLLADA files give and coal leaves aside."""
-    unit = ElementTree.parse(mesh).find("{*}asset/{*}unit") if mesh.suffix.lower() == ".dae" else None
-    return 1.0 if unit is None else float(unit.get("meter", "1"))
+def _bare_points(collada: Element) -> Array:
+    """Points (V, 3) of a COLLADA file without faces, of which coal would make something else; none if it has faces.
+
+    Raises `ValueError` if the file moves them.
+    """
+    if any(collada.find(f".//{{*}}{tag}") is not None for tag in _FACES):
+        return np.zeros((0, 3))
+    if any(collada.find(f".//{{*}}{tag}") is not None for tag in _MOVES):
+        raise ValueError("points that are moved")
+    named = {each.get("source", "")[1:] for each in collada.iterfind(".//{*}vertices/{*}input[@semantic='POSITION']")}
+    sources = [each for each in collada.iterfind(".//{*}mesh/{*}source") if each.get("id") in named]
+    numbers = [each.findtext("{*}float_array", "").split() for each in sources]
+    return np.array([number for each in numbers for number in each], float).reshape(-1, 3)
 
 
 def _points(points: Array) -> Array:

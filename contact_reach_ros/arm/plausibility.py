@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.assumptions import inertias_at_home
 from contact_reach_ros.arm.capsule_fit import volume
 from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
 from contact_reach_ros.arm.model import RobotModel
@@ -25,6 +26,10 @@ _LEAST_SHARE = 1e-3
 _POSTURES = 500
 _LIGHT = 0.05
 """Mass by volume of the capsules, kg per litre, below which the masses are hardly real; robots have 0.3 to 2."""
+_SLOW = 5.0
+"""Acceleration at home, rad/s², which the drives of real arms are good for; those of a UR20 for 40."""
+_SPECK = 1e-4
+"""Share of the moving mass below which a link's is hardly real."""
 _WIDE = 0.25
 """Radius of gyration by the arm's reach above which an inertia is hardly real; rods of half the reach have 0.15."""
 _ALIKE = 3
@@ -134,10 +139,19 @@ def doubts(model: RobotModel) -> list[str]:
         for joint, torque in zip(arm.joints, most, strict=True)
         if torque > joint.torque_limit
     ]
+    found += [
+        f"limits: {joint.name} can speed up by no more than {joint.torque_limit / inertia:.2g} rad/s² at home with its "
+        f"effort limit of {joint.torque_limit:g} Nm"
+        for joint, inertia in zip(arm.joints, inertias_at_home(arm), strict=True)
+        if joint.torque_limit < _SLOW * inertia
+    ]
     mass = sum(inertia.mass for inertia in inertias)
     litres = 1e3 * sum(volume(np.array(shape.start), np.array(shape.end), shape.radius) for shape in arm.capsules)
     if mass < _LIGHT * litres:
         found.append(f"inertias: the moving links weigh {mass:.3g} kg in {litres:.3g} litres; these are placeholders")
+    pairs = zip(arm.link_names, inertias, strict=True)
+    if specks := [f"{link} ({each.mass:.2g} kg)" for link, each in pairs if each.mass < _SPECK * mass]:
+        found.append(f"inertias: next to none of {mass:.3g} kg is on {', '.join(specks)}; these are placeholders")
     for what, values in (("masses", [each.mass for each in inertias]), ("tensors", [each.tensor for each in inertias])):
         count = Counter(values).most_common(1)[0][1]
         if count >= _ALIKE and count > 0.5 * arm.n:

@@ -72,10 +72,13 @@ def _expanded(root: Element, file: Path, options: ArmOptions) -> bytes:
             f"{file}: is a xacro file, which the package 'xacro' expands; install it: pip install xacro"
         ) from error
 
+    missing = []
+
     def find(package: str) -> str:
         for folder in package_folders(package, file, options.packages):
             return str(folder)
-        raise LookupError(f"package '{package}' is not found; give its folder under packages")
+        missing.append(package)
+        raise LookupError
 
     # By itself xacro finds packages that are installed with ROS, and no others.
     substitution_args._eval_find = substitution_args._eval_dict["find"] = find
@@ -84,6 +87,9 @@ def _expanded(root: Element, file: Path, options: ArmOptions) -> bytes:
         text: str = xacro.process_file(str(file), mappings=given).toxml()
     # Macros are expressions in Python and may raise whatever these do.
     except Exception as error:
+        if missing:
+            expected = "give its folder under packages"
+            raise SettingsError(f"{file}: package '{missing[0]}' is not found; {expected}") from error
         defaults = {each.get("name"): each.get("default") or "''" for each in root.iter("xacro:arg")}
         arguments = ", ".join(f"{name}: {default}" for name, default in defaults.items() if "$(" not in default)
         declared = f"its arguments under xacro ({{{arguments}}}), " if arguments else ""

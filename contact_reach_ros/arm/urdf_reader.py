@@ -103,15 +103,12 @@ class _Reader:
     def read(self) -> Reading:
         options, tree = self.options, self.tree
         base = options.base or tree.root
+        self._check_names("base", {base: None}, tree.links, "link")
         tip = options.tip or self._only_tip(base)
-        for key, link in (("base", base), ("tip", tip)):
-            if link not in tree.links:
-                raise SettingsError(
-                    f"{self.file}: {key} = '{link}' is no link; expected one of {', '.join(tree.links)}"
-                )
+        self._check_names("tip", {tip: None}, tree.links, "link")
         moving = self._moving(base, tip)
-        # As the description has it, unless it is given for all joints or each.
-        own = [numbers_in(joint.element, "dynamics", ("armature",)).get("armature", ARMATURE) for joint in moving]
+        # As the description has it, unless it is given for all joints or each; MJCF has 0 where it says nothing.
+        own = [numbers_in(joint.element, "dynamics", ("armature",)).get("armature") or ARMATURE for joint in moving]
         given = own if options.armature is None else options.armature
         armature = given if isinstance(given, Sequence) else [given] * len(moving)
         lists: dict[str, Sequence[float]] = {f"thresholds: {key}": list_ for key, list_ in options.thresholds.items()}
@@ -127,6 +124,7 @@ class _Reader:
         self._show_visuals(parts)
         found = link_capsules(tree.links, self.file, options, parts)
         self.assumed += [f"capsules: none on {link}, which has no collision geometry" for link in found.bare]
+        self.assumed += [f"capsules: collision geometry of {link} has no size" for link in found.without_size]
         arm = Arm(
             name=options.name or tree.name,
             joints=tuple(joints),
@@ -169,9 +167,9 @@ class _Reader:
                     f"[{joint.lower:g}, {joint.upper:g}] rad"
                 )
         if not options.thresholds:
-            self.assumed.append("thresholds: by the joints' torque limits")
-        defaults = {**assumptions.defaults(arm), **options.thresholds}
-        return dataclasses.replace(arm, home=home, defaults=defaults)
+            self.assumed.append("thresholds: by the joints' torque limits and inertias")
+        arm = dataclasses.replace(arm, home=home)
+        return dataclasses.replace(arm, defaults={**assumptions.defaults(arm), **options.thresholds})
 
     def _check_names(self, key: str, given: Mapping[str, object], known: Mapping[str, object], what: str) -> None:
         for name in given:

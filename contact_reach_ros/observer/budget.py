@@ -11,8 +11,8 @@ from contact_reach_ros.settings import Settings, read_yaml, setting
 BUDGET = "budget"
 """Prefix of the contact budget among the settings that nodes report: it comes from a file of its own."""
 
-MAX_THRESHOLD = 320.0
-"""Greatest threshold of a joint, Nm."""
+MAX_THRESHOLD = 50000.0
+"""Greatest threshold of a joint, Nm: half the greatest torque limit that descriptions have."""
 
 
 def _per_joint(description: str, unit: str, minimum: float) -> tuple[float, ...]:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from contact_reach_ros.arm import Array, JointState
+from contact_reach_ros.arm.assumptions import inertias_at_home
 from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, TIP_SITE, build_mjcf
 from contact_reach_ros.simulation.obstacles import (
     OUT_OF_REACH,
@@ -26,6 +27,11 @@ from contact_reach_ros.world.spheres import rest_positions
 
 POSITION_NOISE, VELOCITY_NOISE, TORQUE_NOISE = 1e-5, 1e-3, 0.05
 """Standard deviations of a good arm's sensors, rad, rad/s and N m; the mismatch of a scene multiplies them."""
+WEAK = 10.0
+"""Torque limit of a joint, N m, below which its friction and the noise of its torque are in proportion to it."""
+SLUGGISH = 40.0
+"""Acceleration at home that a joint's torque limit is good for, rad/s², below which the noise of its velocity is in
+proportion to it: it makes one of 0.1 % of the torque limit in the observer's estimate."""
 POSITION_RESOLUTION = 1e-5
 """rad."""
 HOLD_DAMPING = 30.0
@@ -102,7 +108,11 @@ class Plant:
         self.scene = scene
         self._joints = joints
         self._friction_scale = mismatch.friction_scale
+        limits, inertias = scene.arm.torque_limits, inertias_at_home(scene.arm)
+        self._share = np.minimum(limits / WEAK, 1.0)
+        velocity_noise = VELOCITY_NOISE * np.minimum(limits / (SLUGGISH * inertias), 1.0)
         self._noise_scale = mismatch.noise_scale
+        self._noise = np.array([np.full(scene.arm.n, POSITION_NOISE), velocity_noise, TORQUE_NOISE * self._share])
         self._random = np.random.default_rng(scene.seed if noise_seed is None else noise_seed)
         self._arm = slice(0, scene.arm.n)
         self._torque_limits = scene.arm.torque_limits
@@ -169,12 +179,12 @@ class Plant:
 
     def read(self) -> JointState:
         """What the joint sensors show of the present state, at its simulated time; each call draws new noise."""
-        noise = self._noise_scale * self._random.standard_normal((3, self.scene.arm.n))
-        position = self.data.qpos[self._arm] + POSITION_NOISE * noise[0]
+        noise = self._noise_scale * self._random.standard_normal((3, self.scene.arm.n)) * self._noise
+        position = self.data.qpos[self._arm] + noise[0]
         if self._noise_scale > 0.0:
             position = POSITION_RESOLUTION * np.rint(position / POSITION_RESOLUTION)
-        velocity = self.data.qvel[self._arm] + VELOCITY_NOISE * noise[1]
-        return JointState(self.steps * TICK_NS, position, velocity, self._torque + TORQUE_NOISE * noise[2])
+        velocity = self.data.qvel[self._arm] + noise[1]
+        return JointState(self.steps * TICK_NS, position, velocity, self._torque + noise[2])
 
     def contact_forces(self) -> Array:
         """Magnitude of the contact force on each of the arm's contact links, (L,), N: the sum over its contacts."""
@@ -252,7 +262,7 @@ class Plant:
             data.xfrc_applied[body, 3:] += np.cross(lever, force)
 
     def _apply_joint_settings(self) -> None:
-        joints, scale = self._joints, self._friction_scale
+        joints, scale = self._joints, self._friction_scale * self._share
         damping, friction = {
             Actuation.COMMANDED: (scale * joints.viscous_friction, scale * joints.coulomb_friction),
             Actuation.DAMPED_HOLD: (HOLD_DAMPING, scale * joints.coulomb_friction),

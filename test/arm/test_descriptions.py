@@ -96,6 +96,18 @@ def test_thresholds_of_weak_joints_are_in_proportion_and_accepted(effort, tmp_pa
     assert contact < budget.sudden_thresholds[5] < stop
 
 
+def test_thresholds_of_a_heavy_arm_are_worth_the_same_acceleration(tmp_path):
+    """Ten times as heavy and as strong: ten times as much on the joints that carry most."""
+
+    def stops(factor: float) -> np.ndarray:
+        bodies = {f"l{n}": link(f"l{n}", factor * mass, BALL, (factor,) * 3) for n, mass in enumerate(MASSES, 1)}
+        arm = read(tmp_path, six_joints(**with_efforts(900.0 * factor, range(2, 7)), **bodies)).arm
+        return np.array(ContactBudget().resolve(arm).torque_thresholds)
+
+    assert stops(100.0)[1:3] == pytest.approx(10.0 * stops(10.0)[1:3], rel=0.01)
+    assert stops(10.0)[1] > 30.0
+
+
 def test_an_effort_that_leaves_no_threshold_is_refused_with_joint_and_reason(tmp_path):
     with pytest.raises(SettingsError, match=r"(?s)joint 'j5' has effort 0.01\. .* 0.1 Nm.*j5: {effort"):
         read(tmp_path, six_joints(**with_efforts(0.01, range(5, 6))))
@@ -170,6 +182,7 @@ def test_efforts_below_gravity_are_refused_with_both_torques(tmp_path):
     [
         ({f"l{n}": link(f"l{n}", 0.01, BALL, (1e-6, 1e-6, 1e-6)) for n in range(1, 7)}, "0.06 kg"),
         ({f"l{n}": link(f"l{n}", 1.0, BALL) for n in range(1, 7)}, "6 of 6 links have equal masses"),
+        ({"l5": link("l5", 1e-6, BALL, (1e-9, 1e-9, 1e-9))}, r"next to none of 9.5 kg is on l5 \(1e-06 kg\)"),
         ({"l2": link("l2", 0.5, BALL, (0.2, 0.2, 0.2))}, "radii of gyration .*l2 \\(0.63 m\\)"),
         ({"l4": link("l4", 1.5, BALL + BALL.replace("0 0 0.1", "0.5 0 0"))}, None),
         ({"l4": link("l4", 1.5, BALL + BALL.replace("0 0 0.1", "0.4 0.4 0"), (0.01,) * 3)}, None),
@@ -367,6 +380,14 @@ def test_a_xacro_file_is_expanded_with_its_arguments_and_packages(tmp_path):
         read_arm_file(file)
 
 
+def test_a_xacro_file_that_lacks_a_package_is_refused_in_one_sentence(tmp_path):
+    pytest.importorskip("xacro", reason="pip install xacro")
+    head = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="arm"><xacro:property name="x" value='
+    expected = "arm.xacro: package 'nosuch' is not found; give its folder under packages$"
+    with pytest.raises(SettingsError, match=expected):
+        read(tmp_path, f'{head}"$(find nosuch)"/><link name="${{x}}"/></robot>', name="arm.xacro")
+
+
 def test_a_xacro_file_that_lacks_an_argument_is_refused_with_all_of_them(tmp_path):
     pytest.importorskip("xacro", reason="pip install xacro")
     declared = (("name", "ar"), ("kind", ""), ("way", "$(arg name)/a"))
@@ -457,3 +478,8 @@ def test_an_mjcf_whose_geometry_touches_nothing_has_capsules_of_it(tmp_path):
 def test_an_mjcf_that_mujoco_refuses_is_refused_with_its_words(tmp_path):
     with pytest.raises(SettingsError, match=r"arm.xml: MuJoCo refuses it: .*childclass"):
         read(tmp_path, MJCF.replace('class="a"><joint name="q1"', 'class="nosuch"><joint name="q1"'), name="arm.xml")
+
+
+def test_a_joint_of_an_mjcf_without_armature_has_a_rotor_all_the_same(tmp_path):
+    arm = read(tmp_path, MJCF.replace(' armature="0.1"', ""), name="arm.xml").arm
+    assert [each.armature for each in arm.joints] == [0.01] * 4

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import re
 from pathlib import Path
 
 import mujoco
@@ -208,7 +209,7 @@ def test_joints_of_the_chain_can_be_held(tmp_path):
     assert arm.inertias()[0].mass == pytest.approx(2.7 + 2.4)
 
 
-LOST = '<mesh filename="package://x/y.stl"/>'
+LOST = '<mesh filename="package://x/lost.stl"/>'
 
 
 @pytest.mark.parametrize(
@@ -228,8 +229,8 @@ LOST = '<mesh filename="package://x/y.stl"/>'
             "'joint_5' has no lower, no upper.*limits:.*joint_5: {lower: ",
         ),
         (
-            {"part_2": link("part_2", extra=collision(LOST))},
-            "link 'part_2': mesh .* is not found; .*packages.*capsules",
+            {name: link(name, extra=collision(LOST.replace("lost", name))) for name in ("part_2", "part_4")},
+            "link 'part_2': mesh '.*'; link 'part_4': mesh '.*': not found; .*packages.*capsules",
         ),
         (
             {"part_2": link("part_2", extra=collision('<cone radius="1"/>'))},
@@ -260,6 +261,8 @@ def test_what_is_no_arm_is_refused_with_name_and_key(changed, expected, tmp_path
         ({"fixed": {"joint_9": 0.0}}, "fixed: joint 'joint_9' does not exist; known: "),
         ({"home": (2.0, *(0.0,) * 6)}, "home has 2 rad for joint 'joint_1'; expected"),
         ({"armature": (0.1,)}, "armature has 1 values; expected 7"),
+        ({"base": "nosuch"}, "base: link 'nosuch' does not exist; known: world, stand"),
+        ({"tip": "nosuch"}, "tip: link 'nosuch' does not exist; known: world, stand"),
         ({"base": "tool", "tip": "stand"}, "tip 'stand' is not below base 'tool'"),
     ],
 )
@@ -325,6 +328,31 @@ def test_a_box_counts_in_metres_where_its_file_and_the_urdf_place_it(shape, mesh
         (0.0, -0.05, 0.0549), abs=5e-4
     )
     assert found.radius == pytest.approx(0.0289, abs=2e-4)
+
+
+def test_a_collada_file_may_hold_points_alone_unless_it_moves_them(meshes):
+    text = (meshes / "../meshes/box.dae").read_text()
+    points = re.sub(r"<triangles.*</triangles>", "", text)
+    written(meshes / "../meshes", points, "moved.dae")
+    with pytest.raises(SettingsError, match=r"moved.dae' cannot be read; expected a file with triangles"):
+        capsule_of(meshes, collision('<mesh filename="../meshes/moved.dae"/>'))
+    written(meshes / "../meshes", re.sub(r"<(translate|rotate|scale)>.*?</\1>", "", points), "points.dae")
+    found = capsule_of(meshes, collision('<mesh filename="../meshes/points.dae"/>'))
+    assert found == capsule_of(meshes, collision('<box size="0.12 0.04 0.02"/>'))
+
+
+def test_geometry_without_a_size_counts_for_nothing_and_is_named(tmp_path):
+    shapes = collision('<box size="0 0 0"/>', '<origin xyz="1 1 1"/>'), collision('<sphere radius="0"/>')
+    text = odd_arm(part_2=link("part_2", extra=shapes[0] + ball()), part_3=link("part_3", extra=shapes[1]))
+    reading = read_arm(written(tmp_path, text), ODD)
+    by_link = {capsule.link: capsule for capsule in reading.arm.capsules}
+    assert by_link[2].radius == pytest.approx(0.05, abs=2e-4) and 3 not in by_link
+    found = [line for line in reading.assumed if line.startswith("capsules:")]
+    assert found == [
+        "capsules: none on part_3, which has no collision geometry",
+        "capsules: collision geometry of part_2 has no size",
+        "capsules: collision geometry of part_3 has no size",
+    ]
 
 
 def test_a_capsule_stays_one(tmp_path):

@@ -1,14 +1,18 @@
 """Contact, and the stop above the contact budget: debounced, latched, reset only by a free arm at rest."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, REST
 from hypothesis import given
 from hypothesis import strategies as st
 
+from contact_reach_ros.arm import Arm, assumptions
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
+from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
 from contact_reach_ros.observer.safety import (
     HANDOVER_TIME,
     RELEASE_DEBOUNCE,
@@ -16,6 +20,9 @@ from contact_reach_ros.observer.safety import (
     SafetyMonitor,
     SafetySettings,
 )
+from contact_reach_ros.simulation.plant import TICK_NS, Actuation, Plant
+from contact_reach_ros.simulation.settings import JointSettings
+from contact_reach_ros.world.scene import NO_MISMATCH, Scene
 
 SETTINGS = SafetySettings()
 MODEL = RobotModel(ARM)
@@ -200,3 +207,36 @@ def test_file_and_key_are_named_when_it_is_refused(tmp_path, content, key):
 def test_thresholds_for_another_number_of_joints_are_refused_for_the_arm():
     with pytest.raises(SettingsError, match=r"torque_thresholds = .*: expected a list of 7 values"):
         ContactBudget(torque_thresholds=(30.0, 30.0, 25.0)).resolve(ARM)
+
+
+def of_size(mass: float, effort: float) -> Arm:
+    """The iiwa 14 with its masses and torque limits multiplied, and the thresholds of the rule."""
+    inertias = tuple(
+        dataclasses.replace(each, mass=mass * each.mass, tensor=tuple(mass * value for value in each.tensor))
+        for each in ARM.inertias()
+    )
+    joints = tuple(dataclasses.replace(each, torque_limit=effort * each.torque_limit) for each in ARM.joints)
+    arm = dataclasses.replace(ARM, joints=joints, inertia_sets={"nominal": inertias})
+    return dataclasses.replace(arm, defaults=assumptions.defaults(arm))
+
+
+@pytest.mark.parametrize(("mass", "effort"), [(300.0, 80.0), (0.03, 0.03)], ids=["heavy", "weak"])
+def test_an_arm_of_any_size_that_nothing_touches_feels_no_contact(mass, effort):
+    """It moves with the friction and the noise of its simulated drives."""
+    arm = of_size(mass, effort)
+    plant = Plant(Scene("test", arm, 0, HOME, np.zeros(3), (), mismatch=NO_MISMATCH), JointSettings())
+    plant.set_actuation(Actuation.COMMANDED)
+    model, observer = RobotModel(arm), MomentumObserver(MomentumSettings(), RobotModel(arm))
+    monitor = SafetyMonitor(RobotModel(arm), SETTINGS, ContactBudget())
+    observer.update(HOME, REST, None, 0)
+    for tick in range(1500):
+        q, v = plant.joint_positions, plant.data.qvel[: ARM.n].copy()
+        model.update(q, v)
+        time = max(tick - 500, 0) * 1e-3
+        lag, slip = HOME + 0.1 * np.sin(time) - q, 0.1 * np.cos(time) - v
+        plant.step(model.bias + np.diag(model.mass_matrix) * (100.0 * lag + 20.0 * slip))
+        state = plant.read()
+        residual = observer.update(state.q, state.v, state.torque, plant.steps * TICK_NS)
+        monitor.update(residual, state.q, state.v, observer.known_for)
+    assert (monitor.stop_reason, monitor.contacts) == ("", 0)
+    assert (plant.joint_positions - HOME > 0.01).all()

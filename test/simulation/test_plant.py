@@ -17,7 +17,7 @@ from contact_reach_ros.simulation.plant import (
     Plant,
 )
 from contact_reach_ros.simulation.settings import JointSettings
-from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene
 
 FRICTION = JointSettings()
 
@@ -103,6 +103,18 @@ class TestSensors:
             assert np.std(errors) == pytest.approx(spread, rel=0.05), name
             assert np.abs(errors.mean(axis=0)).max() < 0.1 * spread, name
             assert np.abs(np.corrcoef(errors.T) - np.eye(ARM.n)).max() < 0.1, name
+
+    def test_joints_that_are_slow_to_move_their_arm_have_less_noise_of_velocity(self):
+        joints = tuple(dataclasses.replace(joint, torque_limit=0.1 * joint.torque_limit) for joint in ARM.joints)
+        arm = dataclasses.replace(ARM, joints=joints)
+        plant = Plant(Scene("test", arm, 0, HOME, np.zeros(3), (), mismatch=NO_MISMATCH), FRICTION)
+        spread = np.std([plant.read().v for _ in range(3000)], axis=0)
+        model = RobotModel(arm)
+        model.update(HOME, REST)
+        # In the observer's estimate, whose gain is 50 1/s.
+        noise = 50.0 * TICK * np.linalg.norm(model.mass_matrix, axis=1) * spread
+        assert (noise < 1.4e-3 * arm.torque_limits).all() and spread[1] < 0.3 * VELOCITY_NOISE
+        assert spread[6] == pytest.approx(VELOCITY_NOISE, rel=0.05)
 
     def test_torque_is_unknown_unless_commanded(self):
         plant = ideal_plant()
