@@ -428,7 +428,9 @@ class Stack:
             request = self.planner.request(self.state)
             return None if request is None else self._follow(self.planner.solve(request))
         except PlanningError as error:
-            self.failure = str(error)
+            # With a plan in force, a later one may lead on.
+            if self.planner.plan is None:
+                self.failure = str(error)
             if not self.planner.has_goal:
                 self.controller.withdraw()
         except InputError as error:
