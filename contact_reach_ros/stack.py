@@ -304,7 +304,7 @@ class Stack:
         watch: Callable[[Tick], None] | None = None,
         until_settled: bool = False,
     ) -> Result:
-        """Move the arm to a goal, until the planner gives it up. A stop ends the run, also one that was not reset before.
+        """Move the arm to a goal, until the planner gives it up. A stop ends the run, also one that was latched before.
 
         Parameters
         ----------
