@@ -108,7 +108,7 @@ class Stack:
     refused
         Number of refused inputs, by kind.
     failure
-        Why there is no plan, if the planner gave up; empty otherwise.
+        Why the last plan was not found; empty if it was.
     """
 
     def __init__(
@@ -304,7 +304,7 @@ class Stack:
         watch: Callable[[Tick], None] | None = None,
         until_settled: bool = False,
     ) -> Result:
-        """Move the arm to a goal. A stop ends the run, including one that was latched before and not reset.
+        """Move the arm to a goal, until the planner gives it up. A stop ends the run, also one that was latched before.
 
         Parameters
         ----------
@@ -332,7 +332,7 @@ class Stack:
         self.command(goal)
         begin_ns, end_ns = self._clock_ns, self._clock_ns + round(timeout * NANOSECONDS)
         duration, peak, plans = float("nan"), float("nan"), 0
-        while self._clock_ns < end_ns and not self.failure:
+        while self._clock_ns < end_ns and (self.planner.has_goal or not self.failure):
             tick = self.step()
             plans += tick.plan is not None
             forces = self.robot.contact_forces()
@@ -437,6 +437,7 @@ class Stack:
 
     def _follow(self, plan: Plan) -> Plan:
         self.controller.follow(plan.references())
+        self.failure = ""
         return plan
 
     def _refuse(self, what: str, error: InputError) -> None:

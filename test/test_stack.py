@@ -17,7 +17,7 @@ from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
-from contact_reach_ros.errors import InputError, SettingsError, StopCode
+from contact_reach_ros.errors import InputError, PlanningError, SettingsError, StopCode, UnreachableError
 from contact_reach_ros.planning.plan import PlanningCore
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
@@ -166,10 +166,12 @@ class TestRun:
             stack.step()
         assert stack.planner.goal is None
 
-    def test_a_planner_that_gives_up_ends_the_run_and_says_why(self):
-        stack = Stack(FREE_SCENE, planner=StayingCore(failing_after=3))
-        result = stack.run(GOAL, 2.0)
+    @pytest.mark.parametrize(("error", "gives_up"), [(PlanningError, False), (UnreachableError, True)])
+    def test_a_run_ends_when_the_planner_gives_up_and_says_why_there_is_no_plan(self, error, gives_up):
+        stack, seen = Stack(FREE_SCENE, planner=StayingCore(3, error)), []
+        result = stack.run(GOAL, 1.0, seen.append)
         assert (result.reached, result.stop_reason, result.plans) == (False, "there is no way to the goal", 3)
+        assert stack.planner.has_goal != gives_up == (len(seen) < 200)
         assert not stack.stop_reason
 
 

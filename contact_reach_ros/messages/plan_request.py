@@ -53,6 +53,7 @@ def request_parts(number: int, request: Request, memory: Memory | None, found: A
     if memory is not None:
         parts["plans since reset"] = np.array([memory.plans])
         parts["last goal"] = _goal_numbers(memory.request.goal)
+        parts["last effect"] = np.array([memory.request.effect_ns - request.state_ns])
         parts["best"] = memory.best
         parts["approach"] = np.array(memory.approach)
         detour = memory.request.detour
@@ -94,6 +95,8 @@ def read_memory(parts: Parts, request: Request, knot_duration_s: float, ramp_s: 
         postures = np.reshape(numbers, (-1, len(request.q)))
         detour = Detour(least, waited, int(number), bool(is_on), bool(arrived), postures)
     effect_ns = trajectories[-1].effect_ns
+    if "last effect" in parts:
+        effect_ns = request.state_ns + int(parts["last effect"][0])
     last = request._replace(effect_ns=effect_ns, goal=_goal(parts["last goal"]), detour=detour)
     approach, plans = Approach(*parts["approach"].tolist()), int(parts["plans since reset"][0])
     return Memory(trajectories, last, parts["best"], None, approach, plans)

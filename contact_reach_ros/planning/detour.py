@@ -6,8 +6,9 @@ to the nearest posture at the goal that inverse kinematics finds and that should
 Plans on it minimise the distance of the joints from that posture in place of the distance from the goal.
 
 Postures that differ by whole turns of joints are one: the arm goes to the nearest of them within the limits. An arm
-without free dimensions, such as one with six joints and a pose as its goal, has few postures at the goal. It tries each
-once, from where the one before ended, and gives the goal up when none is left.
+without free dimensions, such as one with six joints and a pose as its goal, has few postures at the goal, and law (1)
+does not lead it through singularities. It tries each posture once that no singularity separates it from, goes for the
+goal from where it got, and gives the goal up when none is left.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Arm, Array, link_frames
-from contact_reach_ros.arm.inverse_kinematics import solve_ik
+from contact_reach_ros.arm.inverse_kinematics import pose_errors, solve_ik
 from contact_reach_ros.errors import UnreachableError
 from contact_reach_ros.planning.obstacles import Network
 from contact_reach_ros.planning.plan import Request
@@ -106,8 +107,8 @@ class Detours:
         Raises
         ------
         UnreachableError
-            If an arm without free dimensions makes no progress, has tried all postures at the goal, and is not among
-            soft obstacles, which may go away.
+            If an arm without free dimensions makes no progress, has no posture at the goal left to try, and is not
+            among soft obstacles, which may go away.
         """
         settings = self.settings
         if settings.detour_patience == 0.0:
@@ -130,12 +131,13 @@ class Detours:
         else:
             detour = detour._replace(waited=detour.waited + elapsed)
         is_there = offset < _THERE[0] and angle < _THERE[1]
-        if detour.is_on and (remaining < _NEAR or is_there):
+        is_bound, is_late = _is_bound(self.arm, request.goal), detour.waited >= patience
+        if detour.is_on and (remaining < _NEAR or is_there or (is_bound and is_late)):
+            # With few postures at the goal, the arm goes for it from wherever the way to one has led.
             detour = detour._replace(least=distance, waited=0.0, is_on=False)
         detour = detour._replace(arrived=detour.arrived or is_there)
         if detour.waited < patience or detour.arrived:
             return detour
-        is_bound = _is_bound(self.arm, request.goal)
         posture = self._choose(request, detour)
         if posture is None:
             if is_bound and not len(request.spheres):
@@ -153,7 +155,7 @@ class Detours:
     def _choose(self, request: Request, detour: Detour) -> Array | None:
         """The posture that costs least to get to: 1 for each radian, and 1 for each ε of the force on the way.
 
-        None if there is none without rigid bodies in the way, and without more force than permitted.
+        None if there is none without rigid bodies or a singularity in the way, and without more force than permitted.
         """
         arm, q, spheres, permitted = self.arm, request.q, request.spheres, self.permitted_force
         softness = np.zeros(0)
@@ -166,7 +168,7 @@ class Detours:
                 break
             way = q + np.linspace(0.0, 1.0, 1 + _STATIONS)[:, None] * (posture - q)
             first, *later = [pair.distance for pair in nearest(arm, way, spheres.environment)] or [0.0]
-            if min(later, default=0.0) < min(first, 0.0):
+            if min(later, default=0.0) < min(first, 0.0) or _is_singular(arm, way, request.goal):
                 continue
             # At rest, of each sphere as if it were the only one.
             depths = [np.maximum(-clearances(arm, station, spheres), 0.0) for station in way[1:]]
@@ -185,7 +187,15 @@ def _distance(arm: Arm, q: Array, goal: Target) -> tuple[float, float, float]:
 
 def _is_bound(arm: Arm, goal: Target) -> bool:
     """Whether the goal leaves the arm no free dimension, so that few postures are at it."""
-    return arm.n <= (3 if goal.rotation is None else 5 if goal.only_axis else 6)
+    return arm.n == (3 if goal.rotation is None else 5 if goal.only_axis else 6)
+
+
+def _is_singular(arm: Arm, way: Array, goal: Target) -> bool:
+    """Whether an arm without free dimensions would pass a singularity on a way (N, n), rad."""
+    if not _is_bound(arm, goal):
+        return False
+    _, jacobians = pose_errors(arm, goal.position, goal.rotation, way, goal.only_axis)
+    return bool(np.ptp(np.linalg.slogdet(jacobians)[0]) > 0.0)
 
 
 def _postures(arm: Arm, q: Array, goal: Target, detour: Detour) -> Iterator[Array]:

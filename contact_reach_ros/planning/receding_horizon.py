@@ -16,7 +16,7 @@ from contact_reach_ros.agreement import plan_basis
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
-from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.detour import Detours
 from contact_reach_ros.planning.obstacles import ObstacleReader, check_motion, nearest_bodies
@@ -42,7 +42,7 @@ class Memory(NamedTuple):
     trajectories: tuple[ReferenceTrajectory, ...]
     """The last plans, in order; one of them is in force when the next plan is made."""
     request: Request
-    """What the last plan was made for."""
+    """What the last plan was made for, or one after it that would have brought the arm into a collision."""
     best: np.ndarray
     """(N,) the last plan as a point of the solver's box."""
     state: State | None
@@ -213,7 +213,12 @@ class RecedingHorizonPlanner:
             )
         rollout, terms = self._evaluate(problem, _pair(solution.best))
         predicted_q = np.asarray(rollout.q)[..., 0].astype(float)
-        check_motion(self._arm, predicted_q, spheres.environment)
+        try:
+            check_motion(self._arm, predicted_q, spheres.environment)
+        except PlanningError:
+            # Where every plan ends like this the arm makes no progress, and a detour is due.
+            self.memory = None if memory is None else memory._replace(request=request)
+            raise
         self._number += 1
         plan = self._plan_of(solution, rollout, terms, request, begin, before)
         earlier = () if memory is None else memory.trajectories[1 - _PLANS_KEPT :]

@@ -1,19 +1,24 @@
 """Detours through another posture at the goal, where the straight way has come to its end."""
 
 import dataclasses
+import itertools
 from typing import Any
 
 import numpy as np
+import pytest
 from arm_simulation import ARM, HOME, REST
 from planning_helpers import MS, ORIGINS, PERMITTED_FORCE, ROTATIONS, SMALL, ball_at
 
 from contact_reach_ros.arm import link_frames
+from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.errors import UnreachableError
+from contact_reach_ros.errors import PlanningError, UnreachableError
 from contact_reach_ros.planning.detour import Detours
 from contact_reach_ros.planning.plan import Request
+from contact_reach_ros.world.collision import nearest
 from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.rigid import Plane
 from contact_reach_ros.world.spheres import Spheres
 
 GOAL = Target(ORIGINS[-1] + np.array([0.1, 0.15, -0.1]), ROTATIONS[-1])
@@ -102,6 +107,21 @@ def test_plans_on_a_detour_lead_to_its_posture(planner):
     assert end < start - 0.05
 
 
+def test_where_every_plan_would_end_in_a_collision_the_arm_makes_no_progress(planner, monkeypatch):
+    monkeypatch.setattr(planner, "_settings", dataclasses.replace(SMALL, clearance_weight=0.0))
+    lowest = nearest(ARM, HOME[None], (Plane("floor", (0.0, 0.0, 0.0)),))[0].distance
+    free, beneath = ball_at(np.array([0.0, 0.0, -5.0])), Target(ORIGINS[-1] - np.array([0.0, 0.0, 0.3]), ROTATIONS[-1])
+    above_floor = dataclasses.replace(free, environment=(Plane("floor", (0.0, 0.0, lowest - 0.001)),))
+    planner.reset()
+    planner.plan(Request(HOME, REST, 0, 40 * MS, beneath, free))
+    for time in range(40, 1240, 40):
+        with pytest.raises(PlanningError, match="deep in the floor"):
+            planner.plan(Request(HOME, REST, time * MS, (time + 40) * MS, beneath, above_floor))
+        assert planner.memory.request.detour.number == (time > 1000), time
+    assert planner.memory.plans == 1
+    planner.reset()
+
+
 def test_time_without_plans_is_no_lack_of_progress():
     last = begin()
     for seconds in (5, 10):
@@ -138,21 +158,29 @@ def stuck(spheres: Spheres) -> list[Request]:
     return requests
 
 
-def test_without_free_dimensions_each_posture_is_tried_once_by_the_shortest_way_and_then_the_goal_is_given_up():
+def side(q: np.ndarray) -> float:
+    """Of the singularities on which the arm is: the sign of the determinant of its Jacobian."""
+    model = RobotModel(UR10)
+    model.update(q, REST[:6])
+    return float(np.sign(np.linalg.det(model.jacobian)))
+
+
+def test_without_free_dimensions_an_arm_goes_for_its_goal_after_each_detour_and_gives_up_when_none_is_left():
     requests = stuck(Spheres.none())
-    assert len(requests) < REQUESTS
-    tried = requests[-1].detour.postures[1:]
-    assert len(tried) == requests[-1].detour.number >= 3
-    for number, posture in enumerate(tried):
-        reached = pose(posture)
-        np.testing.assert_allclose(reached.position, ELSEWHERE.position, atol=2e-4)
-        assert ELSEWHERE.angle(reached.rotation) < 2e-3
-        apart = np.abs(np.exp(1j * tried[:number]) - np.exp(1j * posture)).max(axis=1)
-        assert (apart > 0.2).all(), "two differ by whole turns only"
-        for turned in (posture - 2.0 * np.pi, posture + 2.0 * np.pi):
-            is_within = (turned > UR10.lower + 0.2) & (turned < UR10.upper - 0.2)
-            assert (np.abs(turned - START) >= np.abs(posture - START))[is_within].all()
-    np.testing.assert_allclose(tried[0], START + np.array([0.4, -0.2, 0.3, 0.1, 0.2, 0.3]), atol=5e-3)
+    (posture,) = requests[-1].detour.postures[1:]
+    np.testing.assert_allclose(posture, START + np.array([0.4, -0.2, 0.3, 0.1, 0.2, 0.3]), atol=5e-3)
+    for turned in (posture - 2.0 * np.pi, posture + 2.0 * np.pi):
+        is_within = (turned > UR10.lower + 0.2) & (turned < UR10.upper - 0.2)
+        assert (np.abs(turned - START) >= np.abs(posture - START))[is_within].all()
+    assert [on for on, _ in itertools.groupby(request.on_detour for request in requests)] == [0, 1, 0]
+
+
+def test_without_free_dimensions_no_detour_passes_a_singularity():
+    seeds = np.random.default_rng(0).uniform(UR10.lower, UR10.upper, (64, 6))
+    found = solve_ik(UR10, ELSEWHERE.position, ELSEWHERE.rotation, seeds, 0.2)
+    assert {side(posture) for posture in found} == {-1.0, 1.0}
+    tried = stuck(Spheres.none())[-1].detour.postures[1:]
+    assert {side(posture) for posture in tried} == {side(START)}
 
 
 def test_among_soft_obstacles_which_may_go_away_no_goal_is_given_up():

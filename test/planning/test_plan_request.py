@@ -87,6 +87,13 @@ def test_only_what_can_be_in_force_is_kept(planner):
     assert [each.effect_ns for each in read.trajectories] == [100 * MS, 130 * MS]
 
 
+def test_the_clock_of_detours_goes_on_where_plans_were_refused(planner):
+    planner.plan(request_at(0))
+    memory = planner.memory._replace(request=planner.memory.request._replace(effect_ns=100 * MS))
+    parts = request_parts(2, request_at(90), memory, planner.memory.best)
+    assert read_memory(parts, request_at(90), SMALL.knot_duration, RAMP_S).request.effect_ns == 100 * MS
+
+
 def test_planning_compiles_nothing_after_the_warm_up_and_for_other_weights(planner, monkeypatch):
     compiled: list[str] = []
     jax.monitoring.register_event_duration_secs_listener(
