@@ -31,8 +31,9 @@ POSITION_TAU = 0.04
 _CUTOFF, _TAU = "measured_torque_cutoff_frequency", "measured_torque_tau"
 
 _RATE_TOLERANCE = 0.01
-_SKIPPED, _SKIP_MEMORY = 1.5, 0.02
-"""Mean number of FRI's steps from state to state above which the driver is too slow, and the weight of each."""
+_SKIPPED, _SKIP_MEMORY, _MOST_SKIPPED = 1.5, 0.02, 10
+"""Mean number of FRI's steps from state to state above which the driver is too slow; the weight of each, and the most
+that count, so that one pause is no slow driver."""
 _DRIFT = 1e-4
 """By how much, at most, the robot's clock runs faster than this machine's, as a share."""
 _CLOCK_SET_NS = NANOSECONDS // 2
@@ -283,7 +284,7 @@ class FriStates:
         if elapsed:
             follows = self._q is not None and 0.0 < elapsed <= _PAUSE_S
             steps = max(round(elapsed / message.sample_time), 1) if follows and message.sample_time > 0.0 else 1
-            self._steps += _SKIP_MEMORY * (steps - self._steps)
+            self._steps += _SKIP_MEMORY * (min(steps, _MOST_SKIPPED) - self._steps)
         self._not_ready = self._find_problem(message)
         if not elapsed:
             return None

@@ -40,7 +40,7 @@ SET_UPS = [
     ("lbr generation=2024", 500),
     (KUKA, 500),
     (KUKA, 1000),
-    (f"{KUKA} fri=2", 200),
+    (KUKA, 200),
 ]
 """Arguments of the stand-in, and the rate of its states, Hz."""
 BRAKES = {"effort": "", "lbr": "the connection is closed", "franka": "no controller is active"}
