@@ -311,6 +311,7 @@ class FriStates:
         return (torque - keep * self._filtered) / (1.0 - keep)
 
     def _velocity(self, q: Array, elapsed: float) -> Array:
+        assert self._q is not None
         share = -math.expm1(-2.0 * math.pi * self._settings.velocity_cutoff * elapsed)
         return self._v + (share or 1.0) * ((q - self._q) / elapsed - self._v)
 

@@ -126,7 +126,7 @@ def test_torques_are_unknown_without_the_drivers_settings():
 def test_a_controller_manager_that_is_slower_than_fri_is_named():
     states = FriStates(ARM, LbrSettings(), 0.002, True)
     states.describe(description(LATER), True)
-    for step in range(1, 1000, 5):
+    for step in range(1, 3000, 5):
         states.read(fri_message(step), 0)
     assert states.problem.startswith("states come every 10.0 ms, FRI sends every 2 ms: set update_rate")
 

@@ -295,7 +295,7 @@ def test_commands_pass_when_the_stiffness_is_known_to_be_zero_until_the_session_
         ({"stiffness": 200.0}, "stiffness of about"),
         ({"generation": OF_2024, "stiffness": 200.0}, "stiffness of about"),
         ({"generation": OF_2024, "open_loop": "true"}, "set open_loop: false"),
-        ({"measured_torque_tau": ""}, "measured_torque_tau is ; expected a number"),
+        ({"client_command_mode": "position"}, "client_command_mode is position; expected torque"),
     ],
 )
 def test_a_wrong_setting_is_named_and_no_command_passes(bench, config, words):
