@@ -203,6 +203,8 @@ class Adapted:
         self.guard = CommandGuard(arm, AdapterSettings(kind=LBR, gravity_compensation=False), period, hold)
         self.problem, self.moved = "", 0.0
         self._start = robot.plant.tip_position
+        # A stamp of zero is no time.
+        robot.step(0)
 
     def command(self, torque, clock_ns):
         self.problem = self.states.problem
