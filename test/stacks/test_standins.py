@@ -25,11 +25,24 @@ from stack_helpers import (
 )
 
 from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.signals import arm_of_bag, read_signals
 from contact_reach_ros.messages.safety_state import ERROR
 from contact_reach_ros.resources import config_file
 
 THERE, AWAY = "goto 0.51 0.025 0.145 --wait", "goto 0.45 -0.45 0.35"
 """The second goal is half a metre from home: the arm is on its way for some seconds."""
+PAGE = (Path(__file__).parents[2] / "docs" / "adapter.md").read_text()
+KUKA, FRANKA = "lbr generation=later", "franka"
+SET_UPS = [
+    ("effort", 1000),
+    ("effort FORWARD=true", 200),
+    (FRANKA, 1000),
+    ("lbr generation=2024", 500),
+    (KUKA, 500),
+    (KUKA, 1000),
+    (KUKA, 200),
+]
+"""Arguments of the stand-in, and the rate of its states, Hz."""
 BRAKES = {"effort": "", "lbr": "the connection is closed", "franka": "no controller is active"}
 """Why each driver closes the brakes after a stop of the adapter; the first one does not."""
 MOVES, RESTS = 0.15, 0.05
@@ -40,8 +53,8 @@ ATTEMPTS = 3
 
 @pytest.fixture(scope="module")
 def packages():
-    """Environment variables with which processes import the message packages of the drivers."""
-    folders = message_packages()
+    """Environment variables with which processes import the drivers' message packages, and the tests' modules."""
+    folders = (*message_packages(), str(Path(__file__).parents[1]))
     return {"PYTHONPATH": os.pathsep.join((*folders, *filter(None, [os.environ.get("PYTHONPATH")])))}
 
 
@@ -54,18 +67,29 @@ def parameters_of(kind, path, small):
     return str(path)
 
 
+def command_of_page(kind):
+    """The command with which docs/adapter.md starts the stack for a kind of driver."""
+    lines = (line.partition("#")[0].split() for line in PAGE.splitlines() if "contact_reach_ros bringup" in line)
+    (words,) = (line for line in lines if f"adapter:={kind}" in line)
+    assert words[:4] == ["ros2", "run", "contact_reach_ros", "bringup"]
+    return [*module("bringup.bringup"), *words[4:]]
+
+
 @contextmanager
-def stack(kind, rate, lockstep, env, folder, scene="ball"):
+def stack(set_up, rate, lockstep, env, folder, scene="ball"):
     """A driver of that kind, and the stack on it; yields what the driver prints."""
+    kind = set_up.split()[0]
     output, drivers = folder / "up.txt", folder / "driver.txt"
-    driver = [sys.executable, str(Path(__file__).with_name("standins.py")), kind, "--ros-args"]
+    driver = [sys.executable, str(Path(__file__).with_name("standins.py")), *set_up.split(), "--ros-args"]
     driver += ["-p", f"scene:={scene}", "-p", f"state_rate:={rate}.0"]
-    up = [*module("cli"), "up", "--no-driver", "--adapter", kind, "--state-rate", str(rate)]
     parameters = parameters_of(kind, folder / "parameters.yaml", SMALL_PLANNER if lockstep else PATIENT_PLANNER)
-    up += ["--parameters", parameters, "--bag", str(folder / "bag")]
+    up = [*command_of_page(kind), "-p", f"state_rate:={rate}.0", "-p", f"parameters:={parameters}"]
+    up += ["-p", f"bag:={folder / 'bag'}"]
+    if kind == "franka":
+        driver += ["-p", "robot:=fr3"]
     if lockstep:
         driver += ["-p", "use_sim_time:=true"]
-        up.append("--lockstep")
+        up += ["-p", "lockstep:=true"]
     with running(up, env, output) as process:
         ready(process, output)
         with running(driver, env, drivers) as process:
@@ -74,13 +98,18 @@ def stack(kind, rate, lockstep, env, folder, scene="ball"):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rate", [200, 500, 1000])
-@pytest.mark.parametrize("kind", BRAKES)
-def test_the_goal_is_reached_through_each_driver_at_its_rate(kind, rate, packages, tmp_path, capsys):
+@pytest.mark.parametrize(("set_up", "rate"), SET_UPS)
+def test_two_goals_settle_by_the_command_of_the_page(set_up, rate, packages, tmp_path, capsys):
     env = {**environment(), **packages}
-    with stack(kind, rate, True, env, tmp_path):
-        ((code, said),) = command_lines(env, THERE)
-    assert (code, said[:9]) == (0, "settled: ")
+    with stack(set_up, rate, True, env, tmp_path):
+        ended = command_lines(env, THERE, f"{AWAY} --wait")
+    assert [(code, said[:9]) for code, said in ended] == [(0, "settled: ")] * 2
+    assert all(float(said.partition(" mm")[0].rpartition(" ")[2]) <= 1.0 for _, said in ended), ended
+    bag = BagReader(tmp_path / "bag")
+    said = list(bag.messages("/safety_state"))
+    assert not any(each.level == ERROR or "contact" in each.message for each in said if each.name == "observer")
+    signals = read_signals(bag, arm_of_bag(bag))
+    assert len(signals.command.time) > 1000 and np.isfinite(signals.command.values).all()
     assert contact_reach("reexecute", tmp_path / "bag") == 0 and capsys.readouterr().out.count("identical") == 2
 
 
