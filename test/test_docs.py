@@ -74,6 +74,7 @@ TEXTS = sorted(page for pattern in (*PAGES, "CHANGELOG.md") for page in ROOT.glo
 PARSER = _parser()
 SHELL = ("cd", "export", "for", "printf", "source")
 INSTALLING = ("make venv", "make build")
+LAUNCH = ROOT / "launch"
 OF_DRIVERS = ("controller_manager", "franka_bringup", "lbr_bringup")
 """Packages whose commands are theirs."""
 TARGETS = re.findall(r"^(\w+):.*## ", (ROOT / "Makefile").read_text(), re.MULTILINE)
@@ -91,9 +92,13 @@ def check_ros2(words):
     match words:
         case ["run", "contact_reach_ros", name, *arguments]:
             check_node(name, arguments)
-        case ["launch", "contact_reach_ros", "bringup.launch.py", *arguments]:
-            given = dict(text.split(":=") for text in arguments)
-            BringupOptions.from_mapping({name: yaml.safe_load(text) for name, text in given.items()}, "launch")
+        case ["launch", "contact_reach_ros", file, *arguments]:
+            assert (LAUNCH / file).is_file()
+            given = dict(text.split(":=", 1) for text in arguments if text != "-s")
+            of_launch = re.findall(r'^    "(\w+)": \("', (LAUNCH / "bringup.launch.py").read_text(), re.MULTILINE)
+            values = {name: yaml.safe_load(text) for name, text in given.items() if name not in of_launch}
+            values |= {"overrides": shlex.split(given["overrides"])} if "overrides" in given else {}
+            BringupOptions.from_mapping(values, "launch")
         case ["launch" | "run", package, *_] if package in OF_DRIVERS:
             pass
         case ["topic", "pub", "--once", name, kind, content]:

@@ -294,12 +294,14 @@ def topic(graph: Graph, wanted: Topic) -> Finding:
 
 
 def _incompatible(publishers: Sequence[Endpoint], subscriptions: Sequence[Endpoint]) -> str:
-    """The first subscription that gets nothing from a publisher, with the reason; empty if there is none."""
+    """The first node that gets nothing from a publisher, with the reason; empty if there is none."""
     for publisher in publishers:
-        for subscription in subscriptions:
-            compatibility, reason = qos_check_compatible(publisher.qos, subscription.qos)
-            if compatibility == QoSCompatibility.ERROR:
-                return f"{subscription.node} gets nothing from {publisher.node}: {reason.strip().rstrip(';')}"
+        found = [(each.node, *qos_check_compatible(publisher.qos, each.qos)) for each in subscriptions]
+        # Several subscriptions of a node complement each other.
+        hear = {node for node, compatibility, _ in found if compatibility != QoSCompatibility.ERROR}
+        for node, _, reason in found:
+            if node not in hear:
+                return f"{node} gets nothing from {publisher.node}: {reason.strip().rstrip(';')}"
     return ""
 
 

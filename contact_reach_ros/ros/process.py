@@ -17,11 +17,11 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.executables import end_at_signals
 from contact_reach_ros.ros.discovery import environment
 from contact_reach_ros.ros.managed_node import ManagedNode
-from contact_reach_ros.ros.parameters import check_arguments, without_ros_arguments
+from contact_reach_ros.ros.parameters import check_arguments, namespace_in, without_ros_arguments
 from contact_reach_ros.ros.scheduling import choose_cpus, give_way, take_priority, use_cpus
 
 _LOOK_S = 0.1
@@ -33,7 +33,8 @@ _AGAIN_S = 1.0
 def run(node_class: type[ManagedNode], arguments: Sequence[str]) -> int:
     """Run one node until a signal that it heeds, or a failure of its loop; returns the exit code of the process.
 
-    SIGINT, SIGTERM and SIGHUP ask it to end, see `ManagedNode.may_end`; a later SIGINT insists.
+    SIGINT, SIGTERM and SIGHUP ask it to end, see `ManagedNode.may_end`; a later SIGINT insists. In whatever namespace
+    it is, it has the sections of its own name, and the clock of that namespace.
 
     Parameters
     ----------
@@ -46,14 +47,18 @@ def run(node_class: type[ManagedNode], arguments: Sequence[str]) -> int:
     node: ManagedNode | None = None
     try:
         check_arguments(arguments, node_class.NAME, node_class.SECTIONS)
-        initialise(arguments)
+        # Behind the user's: of the remappings of a name the first one holds.
+        initialise([*arguments, "--ros-args", "-r", "/clock:=clock"])
         node_class.ARGUMENTS = arguments
         node = node_class()
+        if node.get_namespace() != namespace_in(arguments):
+            raise SettingsError(f"ROS put the node into {node.get_namespace()}; expected one -r __ns:=/NAMESPACE")
         return _serve(node)
     except ContactReachError as error:
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
         return 2
     finally:
+        node_class.ARGUMENTS = ()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()

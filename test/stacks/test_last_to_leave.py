@@ -18,6 +18,7 @@ from stack_helpers import (
     environment,
     module,
     parameter_file,
+    prefix,
     processes_of_domain,
     ready,
     ros,
@@ -28,7 +29,6 @@ from stack_helpers import (
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.ros.inbox import qos_profile
-from contact_reach_ros.settings import NODES
 
 AWAY = "goto 0.45 -0.45 0.35"
 MOVES, RESTS = 0.2, 0.05
@@ -142,19 +142,10 @@ def up(parameters, folder):
 def launched(parameters, folder):
     """The same with launch, which finds the executables in a prefix."""
     pytest.importorskip("launch_ros", reason="needs launch_ros, which ROS has and no registry")
-    prefix = folder / "prefix"
-    index, executables = prefix / "share/ament_index/resource_index/packages", prefix / "lib/contact_reach_ros"
-    index.mkdir(parents=True)
-    executables.mkdir(parents=True)
-    (index / "contact_reach_ros").touch()
-    for name in NODES:
-        file = executables / name
-        file.write_text(f'#!/bin/sh\nexec {sys.executable} -m contact_reach_ros.nodes.{name} "$@"\n')
-        file.chmod(0o755)
     given = {"driver": "false", "adapter": "effort", "state_rate": "500.0", "parameters": parameters}
     command = [sys.executable, LAUNCH, *(f"{name}:={value}" for name, value in given.items()), f"bag:={folder / 'bag'}"]
     # The planner takes longest.
-    return command, {"AMENT_PREFIX_PATH": str(prefix)}, "[planner]: active"
+    return command, prefix(folder / "prefix"), "[planner]: active"
 
 
 def ctrl_c(process):
