@@ -32,7 +32,6 @@ planner = cr.make_planner(arm, capacity=1, planning=cr.PlanningSettings(deadline
 controller = cr.Controller(arm, cr.ControllerSettings())
 observer = cr.Observer(arm, cr.ObserverSettings(), cr.ContactBudget())
 planner.core.warm_up(print)
-planner.command(GOAL)
 
 torque, pressed = None, 0.0
 for step in range(20_000):
@@ -47,6 +46,8 @@ for step in range(20_000):
     center = BALL + data.qpos[arm.n :]
     planner.see(cr.Spheres(center[None], BALL[None], [RADIUS], [STIFFNESS], [DAMPING]))
     request = planner.request(state)
+    if step == 0:
+        planner.command(GOAL)  # goals start from a joint state
     if request is not None:
         controller.follow(planner.solve(request).references())
     data.ctrl[:] = 0.0 if torque is None else torque  # nothing is sent before the observer vouches for the arm
