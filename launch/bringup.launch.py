@@ -7,7 +7,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from contact_reach_ros.arm.urdf import build_urdf
-from contact_reach_ros.bringup.processes import BringupOptions, processes, stack_arm
+from contact_reach_ros.bringup.processes import BringupOptions, processes, resolved, stack_arm
 from contact_reach_ros.resources import PACKAGE, config_file
 from contact_reach_ros.ros.discovery import environment
 from contact_reach_ros.settings import as_arguments, parse_yaml
@@ -23,7 +23,8 @@ def start_nodes(context):
     """Turn the chosen arguments into nodes; the end of any node but the viewers ends them all."""
     texts = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     values = {name: text if ARGUMENTS[name].kind is str else parse_yaml(text) for name, text in texts.items()}
-    options = BringupOptions.from_mapping(values, "launch arguments")
+    asked = BringupOptions.from_mapping(values, "launch arguments")
+    options = resolved(asked, "bringup")
     hears = environment(options.discovery)
     description = build_urdf(stack_arm(options))
     stack = [
@@ -59,7 +60,8 @@ def start_nodes(context):
             condition=IfCondition(RVIZ),
         ),
     ]
-    return [*stack, *rviz]
+    # Whoever publishes the robot's description publishes its frames, too.
+    return [*stack, *(rviz if options.robot == asked.robot else rviz[1:])]
 
 
 def generate_launch_description():

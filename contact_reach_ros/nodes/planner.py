@@ -16,8 +16,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
+from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
+from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ControllerSettings
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError, SettingsError
 from contact_reach_ros.messages import topics
@@ -117,6 +119,12 @@ class PlannerNode(ManagedNode):
         """Wait for a goal, and refuse those that have come before: the inbox has them before any joint state."""
         self._withdraw("the planner was activated")
         self._planner.state = None
+        self.describe_robot()
+
+    def describe_robot(self) -> None:
+        """Publish the robot's description unless somebody else does, as the drivers of real robots may."""
+        if not self.count_publishers(self.resolve_topic_name(topics.ROBOT_DESCRIPTION.name)):
+            self.make_publisher(topics.ROBOT_DESCRIPTION).publish(String(data=build_urdf(self.arm)))
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Goals, solve times, obstacles, and what the planner waits for; `plan/statistics` has the plans."""

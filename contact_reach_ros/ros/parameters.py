@@ -84,6 +84,11 @@ def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections
     return make_settings(merged, sections, arm, where)
 
 
+def given_parameters(arguments: Sequence[str], node_name: str) -> dict[str, Any]:
+    """The parameters of a node on a command line, unchecked; raises `SettingsError` if a file cannot be read."""
+    return _merged(_given(arguments, node_name, ["", node_name]))
+
+
 def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
     """The arguments of a command line that are not ROS's; raises `SettingsError` if ROS does not understand its own."""
     try:
