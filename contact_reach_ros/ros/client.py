@@ -45,8 +45,8 @@ _SETTLED_S = 1.0
 """Time in which the rest of a node's last safety states follows the first, and other nodes are discovered."""
 _FOLLOWED_S = 8.0
 """Longest time until diagnostics, which come once a second, show that the controller follows a goal's plans."""
-_COMPILED_S = 90.0
-"""For a planner that has just been started, which compiles."""
+_COMPILED_S = 120.0
+"""For a planner that has just been started, which compiles, and for the nodes that bring-up starts then."""
 _SILENCE_S = 5.0
 _REST_S = 5.0
 """Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
@@ -242,11 +242,15 @@ class StackClient(Client):
             )
 
     def wait_until_ready(self) -> None:
-        """Wait until the planner takes goals, also for one that is compiling; raises as `wait_for`."""
+        """Wait until goals are taken, also where the planner still compiles, before all others start.
+
+        Raises as `wait_for`.
+        """
+        patience = _FOUND_S
         if self.until(self.reaches_planner, _FOUND_S) and not self.until(lambda: PLANNER in self.settings, _FOUND_S):
-            self.node.get_logger().info(f"waiting for the {PLANNER}, which is getting ready")
-            self.until(lambda: PLANNER in self.settings, _COMPILED_S)
-        self.wait_for(self.missing)
+            self.node.get_logger().info(f"waiting for the {PLANNER} to get ready, {_COMPILED_S:g} s at most")
+            patience = _COMPILED_S
+        self.wait_for(self.missing, patience)
 
     def hear_stops(self) -> None:
         """Wait until the safety states of the controller and of all who publish one are known.
@@ -370,12 +374,13 @@ class StackClient(Client):
 def connect(discovery: str = "host", namespace: str = "") -> Iterator[StackClient]:
     """A client of the stack that is found within `discovery`, in a namespace.
 
-    Raises `ContactReachError` if no node reports a safety state.
+    Raises `ContactReachError` if there is no planner, and no node that reports a safety state.
     """
     with bare_node(OPERATOR, discovery, [OPERATOR, *in_namespace(namespace)]) as node:
         client, name = StackClient(node), topics.SAFETY_STATE.name
         try:
-            client.wait_for(lambda: [] if node.count_publishers(name) else [f"{name} of any node"])
+            is_there = lambda: node.count_publishers(name) or client.reaches_planner()  # noqa: E731
+            client.wait_for(lambda: [] if is_there() else [f"{name} of any node"])
             yield client
         finally:
             client.close()
