@@ -45,9 +45,10 @@ for step in range(20_000):
         controller.withdraw()
     center = BALL + data.qpos[arm.n :]
     planner.see(cr.Spheres(center[None], BALL[None], [RADIUS], [STIFFNESS], [DAMPING]))
-    request = planner.request(state)
     if step == 0:
-        planner.command(GOAL)  # goals start from a joint state
+        planner.request(state)  # goals start from a joint state
+        planner.command(GOAL)
+    request = planner.request(state)
     if request is not None:
         controller.follow(planner.solve(request).references())
     data.ctrl[:] = 0.0 if torque is None else torque  # nothing is sent before the observer vouches for the arm
