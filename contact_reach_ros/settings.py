@@ -233,7 +233,7 @@ DEFAULT_PARAMETERS = "default.yaml"
 NODES = ("driver", "controller", "observer", "planner", "adapter", "recorder", "viewer", "bringup")
 """The nodes that have parameters."""
 
-ROBOT = Setting("robot", "iiwa14", "arm: a name, or the path of its file")
+ROBOT = Setting("robot", "iiwa14", "arm: a name, the path of its file, or robot_description")
 """The parameter of every node that says which arm it has; the lengths of other parameters follow from it."""
 RATE = Setting("state_rate", 1000.0, "nominal rate of joint states", "Hz", 50.0, 1000.0)
 """The parameter of every node from which gaps, debounces and watchdogs follow."""

@@ -10,9 +10,10 @@ from launch_ros.actions import Node
 from launch_ros.utilities import make_namespace_absolute, prefix_namespace
 
 from contact_reach_ros.arm.urdf import build_urdf
-from contact_reach_ros.bringup.processes import BringupOptions, processes, stack_arm
+from contact_reach_ros.bringup.processes import BringupOptions, processes, resolved, stack_arm
 from contact_reach_ros.resources import PACKAGE, config_file
 from contact_reach_ros.ros.discovery import environment
+from contact_reach_ros.ros.process import in_namespace
 from contact_reach_ros.settings import as_arguments, parse_yaml
 from launch import LaunchDescription
 
@@ -40,13 +41,14 @@ def start_nodes(context):
         for name, entry in OPTIONS.items()
     }
     values["lockstep"] = values["lockstep"] or _value(texts["use_sim_time"], OPTIONS["lockstep"])
-    options = BringupOptions.from_mapping(values, "launch arguments")
     outer = context.launch_configurations.get("ros_namespace")
     namespace = make_namespace_absolute(prefix_namespace(outer, texts["namespace"]))
-    hears = environment(options.discovery)
-    description = build_urdf(stack_arm(options, namespace))
     remappings = [part for rule in shlex.split(texts["remappings"]) for part in ("-r", rule)]
     of_ros = ["--ros-args", *remappings, "--log-level", texts["log_level"]]
+    asked = BringupOptions.from_mapping(values, "launch arguments")
+    options = resolved(asked, "bringup", ["bringup", *of_ros, *in_namespace(namespace)])
+    hears = environment(options.discovery)
+    description = build_urdf(stack_arm(options, namespace))
     stack = [
         Node(
             package=PACKAGE,
@@ -87,7 +89,8 @@ def start_nodes(context):
             condition=IfCondition(RVIZ),
         ),
     ]
-    return [*stack, *rviz]
+    # Whoever publishes the robot's description publishes its frames, too.
+    return [*stack, *(rviz if options.robot == asked.robot else rviz[1:])]
 
 
 def _value(text, entry):

@@ -103,7 +103,11 @@ _LIFECYCLE = (
 
 INTERFACES = {
     **dict(zip(MANAGED, _LIFECYCLE, strict=True)),
-    "bringup": _node([], [topics.JOINT_STATES], [], [*(f"{name}/get_state" for name in MANAGED), "controller/stop"]),
+    "bringup": _node(
+        [],
+        [topics.JOINT_STATES, topics.ROBOT_DESCRIPTION],
+        calls=[*(f"{name}/get_state" for name in MANAGED), "controller/stop"],
+    ),
     DOCTOR: _node(
         [],
         topics.ALL,

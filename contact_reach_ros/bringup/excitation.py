@@ -56,7 +56,7 @@ def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Map
     no room, or is stopped on the way.
     """
     with connect(discovery, namespace) as client:
-        client.wait_for(client.missing)
+        client.wait_until_ready()
         client.wait_for(lambda: [] if _OBSERVER in client.settings else ["settings of the observer"])
         reader = JointStateReader(client.arm.joint_names, topics.JOINT_STATES.name)
         states: list[JointState] = []

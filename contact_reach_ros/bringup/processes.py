@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,8 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import budget_file
 from contact_reach_ros.presets import SECTIONS, check_parameters
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, VIEWER
+from contact_reach_ros.ros.parameters import namespace_in
+from contact_reach_ros.ros.process import described
 from contact_reach_ros.settings import RATE, ROBOT, check_values, parameters_in, parse_yaml
 from contact_reach_ros.simulation.settings import DriverSettings
 from contact_reach_ros.viewer.settings import VIEWER_SECTIONS, ViewerSettings
@@ -120,10 +123,20 @@ def processes(options: BringupOptions, namespace: str = "/") -> list[Process]:
     unhurried = {"planning.deadline": 0.0} if options.lockstep else {}
     planning = {**time, **obstacles, **gains, **unhurried, **changed["planner"]}
     table.append(Process("planner", planning, early=True))
-    check_parameters(
-        options.parameter_file, {process.name: process.parameters for process in table}, namespace=namespace
-    )
+    given = {process.name: process.parameters for process in table}
+    check_parameters(options.parameter_file, given, options.robot, namespace)
     return table
+
+
+def resolved(options: BringupOptions, node_name: str, arguments: Sequence[str] = ()) -> BringupOptions:
+    """These options with a file for an arm whose description is published, also where the parameter file says so.
+
+    Parameters and errors are those of `ros.process.described`.
+    """
+    own = parameters_in(options.parameter_file, "planner", namespace_in(arguments))
+    robot = options.robot or str(own.get(ROBOT.name, ""))
+    path = described(robot, node_name, options.discovery, arguments)
+    return options if path == robot else dataclasses.replace(options, robot=path)
 
 
 def stack_arm(options: BringupOptions, namespace: str = "/") -> Arm:

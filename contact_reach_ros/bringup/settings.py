@@ -20,7 +20,9 @@ class BringupOptions(Settings):
     state_rate: float = setting(
         0.0, "nominal rate of joint states; 0 leaves it to the parameter file", unit="Hz", minimum=0.0, maximum=1000.0
     )
-    robot: str = setting("", "arm: a name, or the path of its file; empty leaves it to the parameter file")
+    robot: str = setting(
+        "", "arm: a name, the path of its file, or robot_description; empty leaves it to the parameter file"
+    )
     bag: str = setting("", "directory to record a bag to; none when empty")
     parameters: str = setting("", "parameter file for the nodes; the package's own when empty")
     driver: bool = setting(True, "start the simulated driver; false with a real robot's driver")

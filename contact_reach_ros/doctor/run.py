@@ -24,7 +24,7 @@ from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.presets import check_parameters
 from contact_reach_ros.resources import config_file
-from contact_reach_ros.settings import DEFAULT_PARAMETERS, NODES, RATE, parameters_in
+from contact_reach_ros.settings import DEFAULT_PARAMETERS, NODES, RATE, ROBOT, parameters_in
 
 _LISTEN_S = 1.0
 
@@ -48,7 +48,7 @@ def examine(file: Path, discovery: str) -> Report:
     """Make all checks, of the nodes with a parameter file."""
     report = {
         "machine": {"timer at 1 kHz": machine.timer_jitter()},
-        "software": {"parameters": _parameters(file)},
+        "software": {"parameters": _parameters(file, discovery)},
     }
     try:
         # rclpy is only needed, and only has to be installed, for what follows.
@@ -73,7 +73,7 @@ def examine(file: Path, discovery: str) -> Report:
         report["stack"]["without commands"] = stack.commands_end(graph)
         report["topics"] = {topic.name: stack.topic(graph, topic) for topic in topics.ALL}
         try:
-            settings = graph.settings.get("controller") or parameters_in(file, "controller")
+            settings = graph.settings.get("controller") or parameters_in(file, "controller") | _arm_of(file, discovery)
             arm = arm_in(settings, "the controller")
             budget = load_budget(parameters_in(file, "observer").get("contact_budget", "")).resolve(arm)
         except ContactReachError:
@@ -91,10 +91,21 @@ def examine(file: Path, discovery: str) -> Report:
     return report
 
 
-def _parameters(file: Path) -> Finding:
+def _arm_of(file: Path, discovery: str) -> dict[str, str]:
+    """The parameter `robot` in place of a file's that stands for the arm that its driver describes; else none."""
+    try:
+        from contact_reach_ros.ros.process import described
+    except ImportError:
+        return {}
+    robot = str(parameters_in(file, "controller").get(ROBOT.name, ""))
+    path = described(robot, "doctor", discovery)
+    return {ROBOT.name: path} if path != robot else {}
+
+
+def _parameters(file: Path, discovery: str) -> Finding:
     """Check the whole parameter file as bring-up does."""
     try:
-        check_parameters(file)
+        check_parameters(file, robot=_arm_of(file, discovery).get(ROBOT.name, ""))
     except ContactReachError as error:
         return failed(str(error), "correct what the message names")
     return Finding(Verdict.PASS, f"{file}: valid for {', '.join(NODES)}")

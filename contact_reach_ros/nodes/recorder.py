@@ -213,7 +213,7 @@ class TopicRecorder:
             **{node.resolve_topic_name(topic.name): topic for topic in topics.ALL},
         }
         """By full name; None until the first publisher tells the type."""
-        self._states = node.resolve_topic_name(topics.JOINT_STATES.name)
+        self._states = self._name_in_bag(topics.JOINT_STATES)
         self._publisher_counts = dict.fromkeys(self._topics, 0)
         self._recorded: dict[str, _Recorded] = {}
 
@@ -305,7 +305,8 @@ class TopicRecorder:
         latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
         qos = Qos(HISTORY_DEPTH, least.reliable and reliable, least.latched and latched)
         if before is None:
-            self.writer.add_topic(RecordedTopic(name, topic.type_name, topic.qos.depth, topic.qos.latched))
+            kept = RecordedTopic(self._name_in_bag(topic), topic.type_name, topic.qos.depth, topic.qos.latched)
+            self.writer.add_topic(kept)
         elif qos == before.qos:
             return
         else:
@@ -315,7 +316,12 @@ class TopicRecorder:
             topic.type, name, lambda _: None, qos_profile(qos), callback_group=self._group, raw=True
         )
         loss = LossCounter() if before is None else before.loss
-        self._recorded[name] = _Recorded(name, topic.type, qos, subscription, loss)
+        self._recorded[name] = _Recorded(self._name_in_bag(topic), topic.type, qos, subscription, loss)
+
+    def _name_in_bag(self, topic: Topic) -> str:
+        """The stack's own name of a topic, whatever it is remapped to, so that whoever reads the bag finds it."""
+        own: str = self._node.resolve_topic_name(topic.name, only_expand=True)
+        return own
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -55,6 +55,15 @@ def controllers(node: Node) -> list[str]:
 
 def _names(endpoints: Sequence[TopicEndpointInfo]) -> set[str]:
     return {node_of(info) for info in endpoints if info.node_name != _UNKNOWN_NODE}
+
+
+def goal_topic(node: Node, planner: str) -> str:
+    """Full name of the topic from which the planner of this name takes goals; empty until it is discovered."""
+    try:
+        heard = node.get_subscriber_names_and_types_by_node(planner, node.get_namespace())
+    except NodeNameNonExistentError:
+        return ""
+    return next((name for name, types in heard if topics.GOAL_POSE.type_name in types), "")
 
 
 def rivalry(node: Node, exclusive: Iterable[Topic]) -> str:

@@ -94,9 +94,14 @@ def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections
     return make_settings(merged, sections, arm, where)
 
 
+def given_parameters(arguments: Sequence[str], node_name: str) -> dict[str, Any]:
+    """The parameters of a node on a command line, unchecked; raises `SettingsError` if a file cannot be read."""
+    return _merged(_given(arguments, node_name, ["", node_name]))
+
+
 def overrides(arguments: Sequence[str], node_name: str) -> list[Parameter]:
     """What a command line gives to a node, which ROS would lose in part: see `settings.parameters_in`."""
-    values = _merged(_given(arguments, node_name, ["", node_name]))
+    values = given_parameters(arguments, node_name)
     # A missing value is the default, and ROS cannot tell the type of an empty list.
     return [Parameter(name, value=value) for name, value in values.items() if value is not None and value != []]
 

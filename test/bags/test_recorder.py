@@ -190,6 +190,19 @@ def test_what_others_publish_is_recorded_whatever_its_type(recorder: Recorder, c
     assert [line.msg for line in reader.messages("/rosout")] == ["a line"]
 
 
+def test_a_remapped_topic_keeps_its_name_in_the_bag(recorder: Recorder) -> None:
+    rules = ["--ros-args", "-r", "goal_pose:=reach_goal"]
+    node = rclpy.create_node("recorder", context=recorder.node.context, cli_args=rules)
+    goals = recorder.publisher(PoseStamped, "reach_goal", RELIABLE, wait=False)
+    with BagWriter(recorder.directory) as writer:
+        topics = TopicRecorder(node, writer)
+        recorder.until(lambda: topics.discover() or goals.get_subscription_count(), "a subscription")
+        goals.publish(PoseStamped())
+        recorder.until(lambda: topics.drain() or writer.message_count, "the goal")
+    found = BagReader(recorder.directory).topics
+    assert found["/goal_pose"].message_count == 1 and "/reach_goal" not in found
+
+
 def test_killed_recorder_leaves_what_it_had_flushed(recorder: Recorder) -> None:
     recorder.start("custom_data:=[seed=5]")
     texts = recorder.publisher(String, "robot_description", RELIABLE)

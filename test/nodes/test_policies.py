@@ -42,8 +42,10 @@ def interface(name, mode):
     """What a node publishes, subscribes to, serves and calls."""
     with ros(*mode, "port:=0"):
         node = NODES[name]()
-        # As it does when it is configured.
+        # As it does when it is configured, and active.
         node.take_part()
+        if isinstance(node, PlannerNode):
+            node.describe_robot()
         kinds = ("publisher", "subscriber", "service", "client")
         found = [getattr(node, f"get_{kind}_names_and_types_by_node")(name, "/") for kind in kinds]
         node.destroy_node()
