@@ -269,8 +269,7 @@ def test_a_goal_with_a_plan_stays_though_later_ones_are_not_found():
 
 
 def test_a_goal_that_proves_unreachable_on_the_way_is_refused_at_once():
-    planner = make(StayingCore(failing_after=1, error=UnreachableError))
-    planner.command(GOAL)
+    planner = begin(make(StayingCore(failing_after=1, error=UnreachableError)))
     planner.solve(planner.request(state(0)))
     assert fail(planner, 30, 1) == [GoalPhase.REFUSED]
     assert not planner.has_goal and "there is no way to the goal" in planner.goal_state.reason
