@@ -83,6 +83,7 @@ def fri_message(step, torque=(0.0,) * 7, q=(0.0,) * 7, **fields):
             "session_state": 4,
             "connection_quality": 3,
             "client_command_mode": 3,
+            "control_mode": 2,
             "time_stamp_sec": seconds,
             "time_stamp_nano_sec": rest,
             "measured_joint_position": q,
@@ -128,6 +129,17 @@ def test_a_controller_manager_that_is_slower_than_fri_is_named():
     for step in range(1, 3000, 5):
         states.read(fri_message(step), 0)
     assert states.problem.startswith("states come every 10.0 ms, FRI sends every 2 ms: set update_rate")
+
+
+@pytest.mark.parametrize(
+    ("mode", "doubt"), [(2, ""), (0, "KUKA's control mode is POSITION_CONTROL; expected JOINT_"), (1, "CARTESIAN_")]
+)
+def test_another_control_mode_than_joint_impedance_is_doubtful_while_a_session_commands(mode, doubt):
+    states = FriStates(ARM, LbrSettings(), 0.002, True)
+    states.read(fri_message(1, control_mode=mode), 0)
+    assert doubt in states.doubt and bool(doubt) == bool(states.doubt)
+    states.read(fri_message(2, control_mode=mode, session_state=3), 0)
+    assert not states.doubt
 
 
 def behind_adapter(generation, stiffness=0.0, period=0.002, **config):
