@@ -30,7 +30,7 @@ CONFIG = "lbr_system_config.yaml"
 """File of `lbr_description` with the settings of that component."""
 
 POSITION_TAU = 0.04
-"""Time constant with which the commanded position follows the arm, s: the default of the later driver."""
+"""Time constant with which the commanded position follows its target, s: the default of the later driver."""
 _CUTOFF, _TAU = "measured_torque_cutoff_frequency", "measured_torque_tau"
 
 _RATE_TOLERANCE = 0.01
@@ -211,8 +211,8 @@ class FriStates:
 
     Joint states have the robot's own time steps, on this machine's clock. FRI has no velocities: they are filtered
     differences of positions. The driver filters its torques; as its filter is known, that is undone, exactly, so that
-    the observer gets them as fresh as from any other arm. The commanded position follows the arm with `POSITION_TAU`:
-    KUKA's controller watches their difference.
+    the observer gets them as fresh as from any other arm. KUKA's controller watches the difference of commanded and
+    measured position: the target is as far ahead of a moving arm as the commanded position lags behind the target.
 
     Attributes
     ----------
@@ -331,11 +331,13 @@ class FriStates:
         return self._commanded + share * (self._target - self._commanded) if follows else q
 
     def _find_target(self, q: Array) -> Array:
-        wanted = q if self._check is None else q + self._check.offset
-        if self.driver is None or not self.driver.position_gain:
-            return wanted
-        # Each step adds p (target − q) to the commanded position.
-        return q + self._period / POSITION_TAU / self.driver.position_gain * (wanted - self._commanded)
+        if self.driver is None:
+            return q
+        gain = self.driver.position_gain
+        ahead = (POSITION_TAU if gain else self.driver.position_tau) * self._v
+        wanted = q + ahead if self._check is None or self._check.is_over else q + self._check.offset
+        # Each step of the driver of 2024 adds p (target − q) to the commanded position; later ones filter the target.
+        return q + self._period / POSITION_TAU / gain * (wanted - self._commanded) if gain else wanted
 
     def _clock_ahead(self, now_ahead_ns: int, elapsed: float) -> int:
         """How far this machine's clock is ahead of the robot's: as little as any message has shown, but for the drift.
