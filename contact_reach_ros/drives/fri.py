@@ -244,7 +244,7 @@ class FriStates:
     @property
     def problem(self) -> str:
         """Why no torque may be sent; empty when it may."""
-        if self._not_ready or self._undescribed:
+        if not self.fits:
             return self._not_ready or self._undescribed
         if self._check is None:
             return "the stiffness of KUKA's joint impedance control has not been measured yet"
@@ -255,9 +255,14 @@ class FriStates:
         """Whether a state has come."""
         return self._q is not None
 
+    @property
+    def fits(self) -> bool:
+        """Whether torques may be sent if the stiffness is zero, which is measured when commands come."""
+        return not (self._not_ready or self._undescribed)
+
     def expect_commands(self) -> bool:
         """Begin to measure the stiffness, unless that is done in this session; returns whether it is being measured."""
-        if self._check is None and not (self._not_ready or self._undescribed):
+        if self._check is None and self.fits:
             self._check = StiffnessCheck(self._arm)
         return self._check is not None and not self._check.is_over
 

@@ -28,6 +28,7 @@ except ImportError:
     SetHardwareComponentState = None
 
 _OBSERVER, _CUTOFF = "observer", "momentum.torque_cutoff"
+_LONGEST_PERIOD_S = 0.002
 _LARGEST_DESCRIPTION = 1 << 20
 """Bytes."""
 
@@ -53,12 +54,17 @@ class LbrTarget:
     def __init__(self, node: Node, arm: Arm, settings: LbrSettings, period: float) -> None:
         """`period`: time between joint states, s.
 
-        Raises `SettingsError` if lbr_fri_idl is not installed, or the arm has not seven joints.
+        Raises `SettingsError` if lbr_fri_idl is not installed, states come too slowly, or the arm has not seven joints.
         """
         if LBRState is None:
             raise SettingsError(
                 "kind = lbr: the message package lbr_fri_idl is not installed; build lbr_fri_ros2_stack, and source "
                 "its workspace before the adapter starts"
+            )
+        if period > _LONGEST_PERIOD_S:
+            raise SettingsError(
+                f"kind = lbr: state_rate = {1.0 / period:g} Hz; expected {1.0 / _LONGEST_PERIOD_S:g} to 1000, an FRI "
+                "send period of 1 or 2 ms: torques act two periods late, with which the laws are not stable below"
             )
         if arm.n != len(LBRState().measured_torque):
             raise SettingsError(f"kind = lbr: {arm.name} has {arm.n} joints; expected an arm with seven")

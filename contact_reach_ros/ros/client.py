@@ -220,13 +220,14 @@ class StackClient(Client):
 
     def missing(self) -> list[str]:
         """What is not heard yet that goals need, by topic."""
-        summary = self.summaries.get(PLANNER, "")
+        summary, adapter = self.summaries.get(PLANNER, ""), self.summaries.get(ADAPTER, topics.ALL_IS_WELL)
+        why = summary if adapter == topics.ALL_IS_WELL else f"{summary}, and the {ADAPTER} says: {adapter}"
         heard = {
             f"{topics.DIAGNOSTICS.name} of the {PLANNER}": PLANNER in self.diagnostics,
             f"{topics.SETTINGS.name} of the {PLANNER}": PLANNER in self.settings,
             f"{topics.GOAL_POSE.name} by the {PLANNER}": self.reaches_planner(),
             f"{topics.DIAGNOSTICS.name} of the {CONTROLLER}": CONTROLLER in self.diagnostics,
-            f"{topics.REFERENCE_POSE.name}, as the {PLANNER} is {summary}": summary not in _NOT_READY,
+            f"{topics.REFERENCE_POSE.name}, as the {PLANNER} is {why}": summary not in _NOT_READY,
         }
         return [what for what, is_heard in heard.items() if not is_heard]
 

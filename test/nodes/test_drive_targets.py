@@ -214,6 +214,11 @@ def test_torques_reach_a_kuka_in_a_commanding_session_until_its_component_is_dea
     assert target.idle == "lbr_system_interface is inactive"
 
 
+def test_fri_is_refused_where_it_is_too_slow_for_torques():
+    with pytest.raises(SettingsError, match="state_rate = 200 Hz; expected 500 to 1000, an FRI send period"):
+        lbr.LbrTarget(Node(), ARM, LbrSettings(), 0.005)
+
+
 def test_a_missing_message_package_is_named():
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(lbr, "LBRState", None)

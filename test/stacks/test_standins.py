@@ -13,7 +13,6 @@ from contact_reach_command import contact_reach
 from message_packages import message_packages
 from stack_helpers import (
     PATIENT_PLANNER,
-    SMALL_PLANNER,
     command_lines,
     environment,
     module,
@@ -24,6 +23,7 @@ from stack_helpers import (
     wait_for,
 )
 
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import arm_of_bag, read_signals
 from contact_reach_ros.messages.safety_state import ERROR
@@ -40,7 +40,6 @@ SET_UPS = [
     ("lbr generation=2024", 500),
     (KUKA, 500),
     (KUKA, 1000),
-    (KUKA, 200),
 ]
 """Arguments of the stand-in, and the rate of its states, Hz."""
 BRAKES = {"effort": "", "lbr": "the connection is closed", "franka": "no controller is active"}
@@ -58,11 +57,11 @@ def packages():
     return {"PYTHONPATH": os.pathsep.join((*folders, *filter(None, [os.environ.get("PYTHONPATH")])))}
 
 
-def parameters_of(kind, path, small):
-    """The parameter file that bring-up takes for a kind, with a small planner, which compiles faster."""
+def parameters_of(kind, path):
+    """The parameter file that bring-up takes for a kind, with a planner that is patient on a busy machine."""
     content = yaml.safe_load(config_file(f"{'default' if kind == 'effort' else kind}.yaml").read_text())
     planner = content.setdefault("planner", {}).setdefault("ros__parameters", {})
-    planner.update(small, planning={**planner.get("planning", {}), **small["planning"]})
+    planner.update(PATIENT_PLANNER, planning={**planner.get("planning", {}), **PATIENT_PLANNER["planning"]})
     path.write_text(yaml.safe_dump(content))
     return str(path)
 
@@ -76,20 +75,21 @@ def command_of_page(kind):
 
 
 @contextmanager
-def stack(set_up, rate, lockstep, env, folder, scene="ball"):
-    """A driver of that kind, and the stack on it; yields what the driver prints."""
+def stack(set_up, rate, lockstep, env, folder, scene="ball", change=lambda up, driver: None):
+    """A driver of that kind, and the stack on it; yields what the driver prints. `change` alters both commands."""
     kind = set_up.split()[0]
     output, drivers = folder / "up.txt", folder / "driver.txt"
     driver = [sys.executable, str(Path(__file__).with_name("standins.py")), *set_up.split(), "--ros-args"]
     driver += ["-p", f"scene:={scene}", "-p", f"state_rate:={rate}.0"]
-    parameters = parameters_of(kind, folder / "parameters.yaml", SMALL_PLANNER if lockstep else PATIENT_PLANNER)
-    up = [*command_of_page(kind), "-p", f"state_rate:={rate}.0", "-p", f"parameters:={parameters}"]
-    up += ["-p", f"bag:={folder / 'bag'}"]
+    up = [*command_of_page(kind), "-p", f"state_rate:={rate}.0", "-p", f"bag:={folder / 'bag'}"]
     if kind == "franka":
         driver += ["-p", "robot:=fr3"]
     if lockstep:
         driver += ["-p", "use_sim_time:=true"]
         up += ["-p", "lockstep:=true"]
+    else:
+        up += ["-p", f"parameters:={parameters_of(kind, folder / 'parameters.yaml')}"]
+    change(up, driver)
     with running(up, env, output) as process:
         ready(process, output)
         with running(driver, env, drivers) as process:
@@ -111,6 +111,38 @@ def test_two_goals_settle_by_the_command_of_the_page(set_up, rate, packages, tmp
     signals = read_signals(bag, arm_of_bag(bag))
     assert len(signals.command.time) > 1000 and np.isfinite(signals.command.values).all()
     assert contact_reach("reexecute", tmp_path / "bag") == 0 and capsys.readouterr().out.count("identical") == 2
+
+
+def without_remapping(up, driver):
+    at = up.index("-r")
+    del up[at : at + 2]
+
+
+def in_another_namespace(up, driver):
+    driver += ["-r", "__ns:=/left"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("set_up", "change", "words"),
+    [
+        ("lbr generation=later stiffness=200.0", None, "JointImpedanceControlMode(0, 0, 0, 0, 0, 0, 0)"),
+        ("lbr generation=2024 open_loop=true", None, "set open_loop: false"),
+        (KUKA, in_another_namespace, "there is /left/lbr/state: set lbr.driver"),
+        (FRANKA, without_remapping, "franka/joint_states"),
+    ],
+)
+def test_a_wrong_set_up_is_named_before_the_arm_moves(set_up, change, words, packages, tmp_path):
+    env, rate = {**environment(), **packages}, 1000 if set_up == FRANKA else 500
+    with stack(set_up, rate, False, env, tmp_path, "free", change or (lambda up, driver: None)):
+        ((code, said),) = command_lines(env, THERE)
+    assert code and words in said, said
+    bag = BagReader(tmp_path / "bag")
+    arm = arm_of_bag(bag)
+    model = RobotModel(arm)
+    states = [dict(zip(state.name, state.position, strict=True)) for state in bag.messages("/joint_states")]
+    tips = [model.tip_pose(np.array([state[name] for name in arm.joint_names]))[0] for state in states]
+    assert all(np.linalg.norm(tip - tips[0]) < 0.005 for tip in tips)
 
 
 def stand_still_in_motion(kind, env, folder):
