@@ -47,6 +47,7 @@ def start_nodes(context):
     of_ros = ["--ros-args", *remappings, "--log-level", texts["log_level"]]
     asked = BringupOptions.from_mapping(values, "launch arguments")
     options = resolved(asked, "bringup", ["bringup", *of_ros, *in_namespace(namespace)])
+    of_ros += options.remappings
     hears = environment(options.discovery)
     description = build_urdf(stack_arm(options, namespace))
     stack = [

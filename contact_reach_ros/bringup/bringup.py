@@ -40,6 +40,7 @@ def run_bringup(arguments: list[str]) -> int:
         arguments = with_description(arguments, NAME)
         options = resolved(check_arguments(arguments, NAME, BRINGUP_SECTIONS)[""], NAME, arguments)
         _check_own_files(arguments, options)
+        arguments = [*arguments, *options.remappings]
         with bare_node(NAME, options.discovery, arguments) as node:
             _say_discovery(node, options.discovery)
             with StackProcesses(Client(node), options, passed_on=_remappings(arguments)) as stack:

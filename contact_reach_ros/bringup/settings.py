@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from contact_reach_ros.drives.settings import FRANKA, KINDS, LBR
+from contact_reach_ros.drives.settings import FRANKA, FRANKA_STATES, KINDS, LBR
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import DEFAULT_PARAMETERS, Sections, Settings, setting
@@ -48,6 +48,11 @@ class BringupOptions(Settings):
                 f"BringupOptions.adapter = {self.adapter}: expected driver = false (--no-driver); the simulated driver "
                 "has not the topics of that one"
             )
+
+    @property
+    def remappings(self) -> list[str]:
+        """ROS arguments for all nodes, to come after the user's: of the remappings of a name the first one holds."""
+        return ["--ros-args", "-r", f"joint_states:={FRANKA_STATES}"] if self.adapter == FRANKA else []
 
     @property
     def parameter_file(self) -> Path:

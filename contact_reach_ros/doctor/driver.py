@@ -13,9 +13,8 @@ from contact_reach_ros.doctor import stack
 from contact_reach_ros.doctor.arm import JointRecord
 from contact_reach_ros.doctor.findings import Finding, failed, graded
 from contact_reach_ros.drives.effort import EffortTarget
-from contact_reach_ros.drives.franka import STATES
 from contact_reach_ros.drives.lbr import LbrTarget
-from contact_reach_ros.drives.settings import ADAPTER_SECTIONS, FRANKA, LBR
+from contact_reach_ros.drives.settings import ADAPTER_SECTIONS, FRANKA, FRANKA_STATES, LBR
 from contact_reach_ros.messages import topics
 from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.inbox import qos_profile
@@ -46,7 +45,7 @@ def listen(options: BringupOptions, arm: Arm, period: float, seconds: float) -> 
             target.listen(client.inbox, take, stack.ANYTHING)
         else:
             target = EffortTarget(node, arm, settings, carries=True)
-            name = STATES if kind == FRANKA else topics.JOINT_STATES.name
+            name = FRANKA_STATES if kind == FRANKA else topics.JOINT_STATES.name
             client.inbox.add(topics.JOINT_STATES._replace(name=name), take, stack.ANYTHING)
         client.spin(stack.SETTLED_S)
         client.until(lambda: target.look() or _fits(target), stack.SETTLED_S)

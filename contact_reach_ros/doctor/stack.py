@@ -25,8 +25,7 @@ from sensor_msgs.msg import JointState
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.doctor.arm import JointRecord
 from contact_reach_ros.doctor.findings import Finding, Verdict, failed, graded
-from contact_reach_ros.drives.franka import STATES
-from contact_reach_ros.drives.settings import FRANKA, LBR
+from contact_reach_ros.drives.settings import FRANKA, FRANKA_STATES, LBR
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.safety_state import ERROR, read_level
@@ -143,7 +142,7 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
         safety: dict[str, DiagnosticStatus] = {}
         settings: dict[str, Mapping[str, Any]] = {}
         # Franka's driver has slow states on joint_states, which its stack does not hear.
-        heard: dict[str, list[tuple[JointState, int]]] = {topics.JOINT_STATES.name: [], STATES: []}
+        heard: dict[str, list[tuple[JointState, int]]] = {topics.JOINT_STATES.name: [], FRANKA_STATES: []}
         inbox = client.inbox
         inbox.add(topics.SAFETY_STATE, lambda status: safety.update({status.name: status}), topics.ALL_EVENTS)
         inbox.add(
@@ -168,7 +167,7 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
             timeouts,
         )
         client.close()
-    return graph, heard[STATES if graph.adapter == FRANKA else topics.JOINT_STATES.name]
+    return graph, heard[FRANKA_STATES if graph.adapter == FRANKA else topics.JOINT_STATES.name]
 
 
 def _ask(client: Client, service: str, kind: Any, request: Any) -> Any:

@@ -17,8 +17,6 @@ try:
 except ImportError:
     SetFullCollisionBehavior = None
 
-STATES = "franka/joint_states"
-"""Topic of the joint states at full rate."""
 REFLEX_TORQUES = (35.0, 35.0, 32.0, 30.0, 29.0, 27.0, 24.0)
 """External torque of each joint at which the arm's reflex stops it, N m: above the contact budget that is shipped, so
 that the compliant stop comes first."""

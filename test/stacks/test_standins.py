@@ -1,7 +1,9 @@
 """The stack on the conventions of real drivers, through the adapter: goals are reached, and silence is harmless."""
 
+import json
 import os
 import signal
+import subprocess
 import sys
 from contextlib import contextmanager
 from pathlib import Path
@@ -74,16 +76,20 @@ def command_of_page(kind):
     return [*module("bringup.bringup"), *words[4:]]
 
 
+def driver_of(set_up, rate):
+    """The command of the stand-in."""
+    command = [sys.executable, str(Path(__file__).with_name("standins.py")), *set_up.split()]
+    arm = ["-p", "robot:=fr3"] if set_up == FRANKA else []
+    return [*command, "--ros-args", "-p", f"state_rate:={rate}.0", *arm]
+
+
 @contextmanager
 def stack(set_up, rate, lockstep, env, folder, scene="ball", change=lambda up, driver: None):
     """A driver of that kind, and the stack on it; yields what the driver prints. `change` alters both commands."""
     kind = set_up.split()[0]
     output, drivers = folder / "up.txt", folder / "driver.txt"
-    driver = [sys.executable, str(Path(__file__).with_name("standins.py")), *set_up.split(), "--ros-args"]
-    driver += ["-p", f"scene:={scene}", "-p", f"state_rate:={rate}.0"]
+    driver = [*driver_of(set_up, rate), "-p", f"scene:={scene}"]
     up = [*command_of_page(kind), "-p", f"state_rate:={rate}.0", "-p", f"bag:={folder / 'bag'}"]
-    if kind == "franka":
-        driver += ["-p", "robot:=fr3"]
     if lockstep:
         driver += ["-p", "use_sim_time:=true"]
         up += ["-p", "lockstep:=true"]
@@ -113,9 +119,8 @@ def test_two_goals_settle_by_the_command_of_the_page(set_up, rate, packages, tmp
     assert contact_reach("reexecute", tmp_path / "bag") == 0 and capsys.readouterr().out.count("identical") == 2
 
 
-def without_remapping(up, driver):
-    at = up.index("-r")
-    del up[at : at + 2]
+def with_slow_states(up, driver):
+    up += ["-r", "joint_states:=joint_states"]
 
 
 def in_another_namespace(up, driver):
@@ -129,7 +134,7 @@ def in_another_namespace(up, driver):
         ("lbr generation=later stiffness=200.0", None, "JointImpedanceControlMode(0, 0, 0, 0, 0, 0, 0)"),
         ("lbr generation=2024 open_loop=true", None, "set open_loop: false"),
         (KUKA, in_another_namespace, "there is /left/lbr/state: set lbr.driver"),
-        (FRANKA, without_remapping, "franka/joint_states"),
+        (FRANKA, with_slow_states, "franka/joint_states"),
     ],
 )
 def test_a_wrong_set_up_is_named_before_the_arm_moves(set_up, change, words, packages, tmp_path):
@@ -185,3 +190,37 @@ def test_in_real_time_a_controller_that_stands_still_in_motion_leaves_the_arm_at
     assert max(speeds) > MOVES
     # KUKA's driver reports nothing any more once its connection is closed.
     assert kind == "lbr" or max(speeds[-100:]) < RESTS
+
+
+def doctor(env, folder, *options):
+    """Findings of the doctor by name."""
+    file = folder / "doctor.json"
+    command = [*module("cli"), "doctor", "--json", str(file), *options]
+    subprocess.run(command, env=env, capture_output=True, timeout=120)
+    return {check["name"]: check for check in json.loads(file.read_text())["checks"]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("set_up", "rate", "options", "said"),
+    [
+        ("effort", 1000, (), "in the order lbr_A3, lbr_A1"),
+        (FRANKA, 1000, (), "in the order fr3_joint3, fr3_joint1"),
+        (KUKA, 500, ("--state-rate", "500"), "lbr_fri_ros2_stack later than 2024; KUKA's stiffness, which must be 0"),
+    ],
+)
+def test_the_doctor_listens_to_a_driver_without_a_stack(set_up, rate, options, said, packages, tmp_path):
+    env, kind = {**environment(), **packages}, set_up.split()[0]
+    with running(driver_of(set_up, rate), env, tmp_path / "driver.txt") as process:
+        ready(process, tmp_path / "driver.txt", "active")
+        found = doctor(env, tmp_path, "--adapter", kind, *options)
+        assert said in found["driver"]["found"] and "driver" in found["commands"]["found"]
+        # On a busy machine states come irregularly.
+        names = ("driver", "commands", "joint names and order", "clocks", "parameters")
+        assert [found[name]["verdict"] for name in names] == ["pass"] * len(names), found
+        assert found["driver rate"]["found"].startswith(f"{rate} Hz") or found["driver rate"]["verdict"] != "pass"
+        assert "assumed: gravity 9.81 m/s² along -z of" in found["gravity against torque"]["found"] or kind != "lbr"
+        wrong = doctor(env, tmp_path, "--adapter", kind, *options, "--arm", "panda")
+        assert (
+            "expected panda_joint1" in wrong["driver"]["found"] or wrong["joint names and order"]["verdict"] == "fail"
+        )
