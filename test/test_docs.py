@@ -45,7 +45,8 @@ class Command(NamedTuple):
     @property
     def words(self) -> list[str]:
         """Program and arguments, without variables that are set for it."""
-        words = shlex.split(self.line)
+        # docs/real_robot.md lets the reader choose.
+        words = shlex.split(self.line.replace("$KIND", "lbr"))
         while re.match(r"[A-Z_]+=", words[0]):
             words = words[1:]
         return words
@@ -72,7 +73,7 @@ def _lines(page: Path) -> list[str]:
 COMMANDS = commands()
 TEXTS = sorted(page for pattern in (*PAGES, "CHANGELOG.md") for page in ROOT.glob(pattern))
 PARSER = _parser()
-SHELL = ("cd", "export", "for", "printf", "source")
+SHELL = ("cd", "cp", "export", "for", "printf", "source")
 INSTALLING = ("make venv", "make build")
 LAUNCH = ROOT / "launch"
 OF_DRIVERS = ("controller_manager", "franka_bringup", "lbr_bringup")
@@ -175,7 +176,8 @@ def headings(page: Path) -> set[str]:
 NOT_RUN = {
     r"ros2 |source /opt/ros|source install|cd \$\(ros2|for policy|export ROS_SEC|ROS_SECURITY": "needs ROS 2 sourced",
     r"contact-reach bench|make bench|make -C|python -m benchmarks": "takes minutes to hours; see test/benchmarks",
-    r"--no-driver": "needs a robot",
+    r"--no-driver|\$KIND": "needs a robot; test/stacks/test_standins.py has the stages of real_robot.md",
+    r"^cp ": "belongs to one of them",
     r"--namespace": "needs two stacks; test/stacks/test_namespaces.py has them",
     r"contact-reach identify\b": "moves the arm; test/stacks has a stack for it",
     r"--discovery subnet": "opens the nodes to the network",
