@@ -22,7 +22,7 @@ NEVER = "1e9"
 OPTIONS = {entry.name: entry for entry in BringupOptions.declared()}
 OF_LAUNCH = {
     "namespace": ("", "namespace of the stack, below those of the launch files that include this one"),
-    "remappings": ("", "remappings for every node, such as 'joint_states:=franka/joint_states goal_pose:=reach/goal'"),
+    "remappings": ("", "remappings for every node, such as 'goal_pose:=reach/goal external_wrench:=wrench'"),
     "log_level": ("info", "of every node: debug, info, warn, error or fatal"),
     "use_sim_time": ("false", "the same as lockstep, by ROS's name"),
     "rviz": ("false", "show the stack in RViz"),

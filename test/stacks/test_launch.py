@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import rclpy
 import yaml
 from stack_helpers import (
     SMALL_PLANNER,
@@ -16,11 +17,16 @@ from stack_helpers import (
     prefix,
     processes_of_domain,
     ready,
+    ros,
     running,
     wait_for,
 )
 
+from contact_reach_ros.arm.urdf import build_urdf
+from contact_reach_ros.arms import load_arm
+from contact_reach_ros.messages import topics
 from contact_reach_ros.resources import share_directory
+from contact_reach_ros.ros.inbox import qos_profile
 
 pytest.importorskip("launch_ros", reason="needs launch_ros, which ROS has and no registry")
 # Processes that import for seconds; a busy machine has no effect on what they say.
@@ -41,9 +47,10 @@ def told(text):
 
 
 @contextmanager
-def launch(folder, *arguments, command=LAUNCH, count=4):
+def launch(folder, *arguments, command=LAUNCH, count=4, domain=None):
     """Settings by full name of the nodes that launch starts, as each tells them, and the output."""
     env = {**environment(), **prefix(folder / "prefix", f"{HERE / 'telling.py'} {{}}")}
+    env |= {"ROS_DOMAIN_ID": domain} if domain else {}
     output = folder / "launch.txt"
     with running([*command, *map(str, arguments)], env, output) as process:
         wait_for(lambda: output.read_text().count(TOLD) >= count or process.poll() is not None, 240, "nodes tell")
@@ -85,6 +92,20 @@ def test_two_arms_have_a_namespace_each_and_share_a_file(tmp_path):
         assert (left["robot"], right["robot"]) == ("iiwa14", "fr3")
         assert (left["limits.torque_rate"], right["limits.torque_rate"]) == (500.0, 1000.0)
         assert not (left["supervision.gravity_compensation"] or right["supervision.gravity_compensation"])
+
+
+def test_the_arm_is_the_one_that_is_described_in_the_namespace(tmp_path):
+    domain, topic = environment()["ROS_DOMAIN_ID"], topics.ROBOT_DESCRIPTION
+    arm = load_arm("fr3")
+    with ros(domain=domain):
+        node = rclpy.create_node("robot_state_publisher", namespace="left")
+        publisher = node.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
+        publisher.publish(topic.type(data=build_urdf(arm)))
+        given = ["namespace:=left", "robot:=robot_description", "driver:=false"]
+        with launch(tmp_path, *given, count=3, domain=domain) as (nodes, output):
+            assert set(nodes) == {f"/left/{name}" for name in STACK - {"driver"}}, output
+            (described,) = {settings["robot"] for settings in nodes.values()}
+    assert load_arm(described).joint_names == arm.joint_names
 
 
 OWN_FILE = """

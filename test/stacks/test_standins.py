@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -44,6 +46,8 @@ SET_UPS = [
     (KUKA, 1000),
 ]
 """Arguments of the stand-in, and the rate of its states, Hz."""
+ROBOTS = {"effort": {"robot": "iiwa14", "state_rate": 500.0}, "franka": {}, "lbr": {}}
+"""What docs/real_robot.md has the reader add for the stand-ins, for all nodes."""
 BRAKES = {"effort": "", "lbr": "the connection is closed", "franka": "no controller is active"}
 """Why each driver closes the brakes after a stop of the adapter; the first one does not."""
 MOVES, RESTS = 0.15, 0.05
@@ -200,27 +204,59 @@ def doctor(env, folder, *options):
     return {check["name"]: check for check in json.loads(file.read_text())["checks"]}
 
 
+def own_file(kind, folder, **planner):
+    """my_arm.yaml of docs/real_robot.md."""
+    content = yaml.safe_load(config_file(f"{'default' if kind == 'effort' else kind}.yaml").read_text())
+    content.setdefault("/**", {}).setdefault("ros__parameters", {}).update(ROBOTS[kind])
+    content.setdefault("planner", {}).setdefault("ros__parameters", {}).update(planner)
+    (folder / "my_arm.yaml").write_text(yaml.safe_dump(content))
+
+
+def stages(kind):
+    """The commands of docs/real_robot.md by the heading of their stage, words after contact-reach."""
+    found = {}
+    for section in re.split(r"^## ", (PAGE.parent / "real_robot.md").read_text(), flags=re.MULTILINE)[1:]:
+        blocks = "".join(re.findall(r"^```\n(.*?)^```$", section, re.DOTALL | re.MULTILINE)).replace("\\\n", " ")
+        lines = [shlex.split(line.replace("$KIND", kind)) for line in blocks.splitlines()]
+        found[section[0]] = [words[1:] for words in lines if words and words[0] == "contact-reach"]
+    return found
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("set_up", "rate", "options", "said"),
+    ("set_up", "rate", "said"),
     [
-        ("effort", 1000, (), "in the order lbr_A3, lbr_A1"),
-        (FRANKA, 1000, (), "in the order fr3_joint3, fr3_joint1"),
-        (KUKA, 500, ("--state-rate", "500"), "lbr_fri_ros2_stack later than 2024; KUKA's stiffness, which must be 0"),
+        ("effort", 500, "in the order lbr_A3, lbr_A1"),
+        (FRANKA, 1000, "in the order fr3_joint3, fr3_joint1"),
+        (KUKA, 500, "lbr_fri_ros2_stack later than 2024; KUKA's stiffness, which must be 0"),
     ],
 )
-def test_the_doctor_listens_to_a_driver_without_a_stack(set_up, rate, options, said, packages, tmp_path):
-    env, kind = {**environment(), **packages}, set_up.split()[0]
-    with running(driver_of(set_up, rate), env, tmp_path / "driver.txt") as process:
-        ready(process, tmp_path / "driver.txt", "active")
-        found = doctor(env, tmp_path, "--adapter", kind, *options)
+def test_the_stages_of_the_page_from_listening_to_a_slow_motion(set_up, rate, said, packages, tmp_path, monkeypatch):
+    kind, folder, output = set_up.split()[0], tmp_path, tmp_path / "driver.txt"
+    env, driver = {**environment(), **packages}, driver_of(set_up, rate)
+    own_file(kind, folder, require_obstacles=False)
+    monkeypatch.chdir(folder)
+    page = stages(kind)
+    with running(driver, env, output) as process:
+        ready(process, output, "active")
+        ((_, *options),) = (words for words in page["3"] if words[0] == "doctor")
+        found = doctor(env, folder, *options)
         assert said in found["driver"]["found"] and "driver" in found["commands"]["found"]
         # On a busy machine states come irregularly.
         names = ("driver", "commands", "joint names and order", "clocks", "parameters")
         assert [found[name]["verdict"] for name in names] == ["pass"] * len(names), found
-        assert found["driver rate"]["found"].startswith(f"{rate} Hz") or found["driver rate"]["verdict"] != "pass"
-        assert "assumed: gravity 9.81 m/s² along -z of" in found["gravity against torque"]["found"] or kind != "lbr"
-        wrong = doctor(env, tmp_path, "--adapter", kind, *options, "--arm", "panda")
-        assert (
-            "expected panda_joint1" in wrong["driver"]["found"] or wrong["joint names and order"]["verdict"] == "fail"
-        )
+    for stage, goals in (("4", []), ("5", []), ("7", [words for words in page["7"] if words[0] != "up"])):
+        (up,) = (words for words in page[stage] if words[0] == "up")
+        text = folder / f"up{stage}.txt"
+        with running([*module("cli"), *up, "--lockstep"], env, text) as process:
+            ready(process, text)
+            with running([*driver, "-p", "use_sim_time:=true", "-p", "scene:=free"], env, output) as process:
+                ready(process, output, "active")
+                if goals:
+                    ended = command_lines(env, *map(shlex.join, goals))
+                    assert [code for code, _ in ended] == [0] * len(goals), ended
+                else:
+                    assert speeds_until(env["ROS_DOMAIN_ID"], lambda speeds: len(speeds) > 100)
+        topics = BagReader(folder / up[up.index("--bag") + 1]).topics
+        assert ("/shadow/commands" in topics) == (stage == "4") != ("/adapter/commands" in topics)
+        assert "stopped the arm" not in text.read_text()
