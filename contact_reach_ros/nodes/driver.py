@@ -139,11 +139,14 @@ class DriverNode(ManagedNode):
     def _lockstep_tick(self) -> None:
         if self.robot.plant.steps == 0:
             self._lockstep.begin()
+        if self._waits_for_goal and self.robot.is_open:
+            # All are done with the state before: whenever the goal comes, the first plan is from the next one.
+            self._publish_safety()
+            self._lockstep.stand_still(lambda: self._waits_for_goal)
         self._publish(self.robot.read(), self.robot.shows_obstacles())
         self._lockstep.wait(self.robot.now_ns)
         # Commands that came before the last promise, but after they were looked for.
         self.inbox.poll()
-        self._lockstep.stand_still(lambda: self._waits_for_goal and self.robot.is_open)
         self._tick(self.robot.now_ns)
 
     def _on_goal_state(self, _: DiagnosticStatus) -> None:

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
-from message_packages import message_packages
 from stack_helpers import (
     PATIENT_PLANNER,
     command_lines,
@@ -41,12 +40,6 @@ ATTEMPTS = 3
 """On a machine that stands still for a while the arm is rightly stopped before it has moved: that shows nothing."""
 HOLDS, LETS_GO = "asked to end, but the drive would keep the last torque", "lets go of the arm: "
 LAUNCH = str(Path(__file__).with_name("launching.py"))
-
-
-@pytest.fixture(scope="module")
-def packages():
-    """Environment variables with which processes import the message packages of the drivers."""
-    return {"PYTHONPATH": os.pathsep.join((*message_packages(), *filter(None, [os.environ.get("PYTHONPATH")])))}
 
 
 @contextmanager

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import yaml
 from contact_reach_command import contact_reach
-from message_packages import message_packages
 from stack_helpers import (
     PATIENT_PLANNER,
     command_lines,
@@ -35,7 +34,7 @@ from contact_reach_ros.resources import config_file
 
 THERE, AWAY = "goto 0.51 0.025 0.145 --wait", "goto 0.45 -0.45 0.35"
 """The second goal is half a metre from home: the arm is on its way for some seconds."""
-PAGE = (Path(__file__).parents[2] / "docs" / "adapter.md").read_text()
+PAGE, STAGES = ((Path(__file__).parents[2] / "docs" / name).read_text() for name in ("adapter.md", "real_robot.md"))
 KUKA, FRANKA = "lbr generation=later", "franka"
 SET_UPS = [
     ("effort", 1000),
@@ -54,13 +53,6 @@ MOVES, RESTS = 0.15, 0.05
 """Speed of a joint that moves, and of one at rest, rad/s."""
 ATTEMPTS = 3
 """On a machine that stands still for a while the arm is rightly stopped before it has moved: that shows nothing."""
-
-
-@pytest.fixture(scope="module")
-def packages():
-    """Environment variables with which processes import the drivers' message packages, and the tests' modules."""
-    folders = (*message_packages(), str(Path(__file__).parents[1]))
-    return {"PYTHONPATH": os.pathsep.join((*folders, *filter(None, [os.environ.get("PYTHONPATH")])))}
 
 
 def parameters_of(kind, path):
@@ -215,7 +207,7 @@ def own_file(kind, folder, **planner):
 def stages(kind):
     """The commands of docs/real_robot.md by the heading of their stage, words after contact-reach."""
     found = {}
-    for section in re.split(r"^## ", (PAGE.parent / "real_robot.md").read_text(), flags=re.MULTILINE)[1:]:
+    for section in re.split(r"^## ", STAGES, flags=re.MULTILINE)[1:]:
         blocks = "".join(re.findall(r"^```\n(.*?)^```$", section, re.DOTALL | re.MULTILINE)).replace("\\\n", " ")
         lines = [shlex.split(line.replace("$KIND", kind)) for line in blocks.splitlines()]
         found[section[0]] = [words[1:] for words in lines if words and words[0] == "contact-reach"]
@@ -257,6 +249,10 @@ def test_the_stages_of_the_page_from_listening_to_a_slow_motion(set_up, rate, sa
                     assert [code for code, _ in ended] == [0] * len(goals), ended
                 else:
                     assert speeds_until(env["ROS_DOMAIN_ID"], lambda speeds: len(speeds) > 100)
+                if stage == "5":
+                    found = doctor(env, folder, *options)
+                    failed = [name for name, check in found.items() if check["verdict"] == "fail"]
+                    assert failed in ([], ["timer at 1 kHz"]), [found[name] for name in failed]
         topics = BagReader(folder / up[up.index("--bag") + 1]).topics
         assert ("/shadow/commands" in topics) == (stage == "4") != ("/adapter/commands" in topics)
         assert "stopped the arm" not in text.read_text()
