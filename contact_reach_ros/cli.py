@@ -71,19 +71,21 @@ def _parser() -> argparse.ArgumentParser:
         _later("bringup.bringup:up"),
         "start the stack and supervise it until Ctrl-C: what the executable bringup does",
     )
-    _add_arm(up, "robot")
+    _add_robot(up)
     up.add_argument("--scene", help="a name in config/scenes, or a YAML file (default: ball)")
     up.add_argument("--lockstep", action="store_true", help="simulated time that waits for every node")
-    up.add_argument("--state-rate", type=float, metavar="HZ", help="of joint states (default: the parameter file's)")
     up.add_argument("--bag", metavar="DIR", help="record a bag (default: none)")
-    up.add_argument("--parameters", metavar="FILE", help="parameter file for the nodes (default: the package's)")
     up.add_argument("--no-driver", dest="driver", action="store_false", help="do not simulate: a real robot is there")
-    up.add_argument("--adapter", metavar="KIND", help="adapter between controller and drive, see docs/adapter.md")
     _add_discovery(up, "who hears the nodes")
     _add_namespace(up)
     up.add_argument("--view", action="store_true", help="serve a page for browsers")
     up.add_argument(
-        "--set", dest="overrides", nargs="+", metavar="NODE:PARAMETER=VALUE", help="parameters besides the file's"
+        "--set",
+        dest="overrides",
+        nargs="+",
+        action="extend",
+        metavar="NODE:PARAMETER=VALUE",
+        help="parameters besides the file's",
     )
 
     goto = add("goto", _goto, "send a goal to the running stack, and wait until it is taken or refused")
@@ -143,7 +145,7 @@ def _parser() -> argparse.ArgumentParser:
     doctor = add(
         "doctor", _later("doctor.run:run_doctor"), "check machine, software and the running stack before a run"
     )
-    doctor.add_argument("--parameters", type=Path, help="parameter file for the nodes (default: the package's)")
+    _add_robot(doctor)
     _add_discovery(doctor, "how far to look for nodes")
     _add_json(doctor)
 
@@ -202,6 +204,15 @@ def _add_discovery(command: argparse.ArgumentParser, what: str) -> None:
 def _add_arm(command: argparse.ArgumentParser, name: str = "arm") -> None:
     text = "name of the arm, or path of its URDF, xacro, MJCF or YAML file (default: the parameter file's, iiwa14)"
     command.add_argument("--arm", dest=name, metavar="ARM", help=text)
+
+
+def _add_robot(command: argparse.ArgumentParser) -> None:
+    _add_arm(command, "robot")
+    command.add_argument(
+        "--state-rate", type=float, metavar="HZ", help="of joint states (default: the parameter file's)"
+    )
+    command.add_argument("--parameters", metavar="FILE", help="parameter file for the nodes (default: the package's)")
+    command.add_argument("--adapter", metavar="KIND", help="adapter between controller and drive, see docs/adapter.md")
 
 
 def _add_namespace(command: argparse.ArgumentParser) -> None:

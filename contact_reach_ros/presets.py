@@ -89,7 +89,7 @@ def preset(name: str, arm: Arm | None = None) -> Preset:
     )
 
 
-def check_parameters(file: Path, given: Given | None = None) -> None:
+def check_parameters(file: Path, given: Given | None = None, robot: str = "", namespace: str = "/") -> None:
     """Check names of nodes and parameters, values, and what must be the same in several nodes.
 
     Controller and planner cannot have different gains: both read those of the section `controller`. In the same way the
@@ -101,6 +101,10 @@ def check_parameters(file: Path, given: Given | None = None) -> None:
         Parameter file of all nodes.
     given
         Parameters that come on top of the file's, by the nodes that are started; None while nobody knows which are.
+    robot
+        Arm of all nodes, in place of the file's; the file's when empty.
+    namespace
+        Of the nodes.
 
     Raises
     ------
@@ -115,7 +119,8 @@ def check_parameters(file: Path, given: Given | None = None) -> None:
         source = f"{file}: {node}"
         # Names with a colon are parameters of other nodes.
         added = {name: value for name, value in (given or {}).get(node, {}).items() if ":" not in name}
-        values[node] = own = parameters_in(file, node) | added
+        own = parameters_in(file, node, namespace) | ({ROBOT.name: robot} if robot else {}) | added
+        values[node] = own
         arms[node] = arm_in(own, source)
         settings[node] = make_settings(own, sections, arms[node], source)
     started = _NEEDED if given is None else tuple(given)

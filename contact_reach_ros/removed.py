@@ -105,7 +105,6 @@ PARAMETERS: Mapping[str, Mapping[str, str]] = {
         "sphere_damping": _NOT_TUNED + "30 N s/m",
         "node_damping": _NOT_TUNED + "5 N s/m",
         "node_stiffness": "leave it out: only edges hold the nodes that can move; see edge_stiffness",
-        "goal_timeout": "leave it out: who sends a goal decides how long to wait for it, as goto --timeout does",
         "goal_tolerance": _NOT_TUNED + "0.01 m; Goal(tolerance=...) in the library",
         "settle_time": _NOT_TUNED + "0.2 s",
         "goal_angle_tolerance": _NOT_TUNED + "0.05 rad; Goal(angle_tolerance=...) in the library",

@@ -233,7 +233,7 @@ DEFAULT_PARAMETERS = "default.yaml"
 NODES = ("driver", "controller", "observer", "planner", "adapter", "recorder", "viewer", "bringup")
 """The nodes that have parameters."""
 
-ROBOT = Setting("robot", "iiwa14", "arm: a name, or the path of its file")
+ROBOT = Setting("robot", "iiwa14", "arm: a name, the path of its file, or robot_description")
 """The parameter of every node that says which arm it has; the lengths of other parameters follow from it."""
 RATE = Setting("state_rate", 1000.0, "nominal rate of joint states", "Hz", 50.0, 1000.0)
 """The parameter of every node from which gaps, debounces and watchdogs follow."""
@@ -260,34 +260,57 @@ def declared_parameters(sections: Sections, arm: ArmDefaults) -> dict[str, Setti
     }
 
 
-def parameters_in(file: Path, node_name: str) -> dict[str, Any]:
+def parameters_in(file: Path, node_name: str, namespace: str = "/") -> dict[str, Any]:
     """Read the parameters in a file that concern a node, flattened to dotted names.
 
-    Raises `SettingsError` if the file cannot be read or is not a parameter file.
-    """
-    found: dict[str, Any] = {}
-    for pattern, content in read_yaml(file).items():
-        if not isinstance(content, dict) or "ros__parameters" not in content:
-            raise SettingsError(f"{file}: '{pattern}' has no ros__parameters; expected '<node>: ros__parameters: ...'")
-        if _is_for(str(pattern), node_name):
-            parameters = content["ros__parameters"] or {}
-            if not isinstance(parameters, dict):
-                raise SettingsError(f"{file}: {pattern}.ros__parameters is not a mapping of keys to values")
-            found.update(_flatten(parameters))
-    return found
+    A section without a namespace holds in every one, where ROS itself would ignore it outside of the root.
 
-
-def check_node_names(file: Path) -> None:
-    """Check that each section of a parameter file is for one of `NODES`, or by its wildcards for all.
+    Parameters
+    ----------
+    file
+        Parameter file.
+    node_name
+        Of the node, without its namespace.
+    namespace
+        Of the node, such as /left.
 
     Raises
     ------
     SettingsError
-        Naming the file and the section, and the nearest node.
+        If the file cannot be read, is not a parameter file, or has sections for this node in other namespaces only.
     """
+    found: dict[str, Any] = {}
+    holds: dict[str, bool] = {}
+    """By the sections with the node's own name."""
+    for pattern, content in read_yaml(file).items():
+        if not isinstance(content, dict) or "ros__parameters" not in content:
+            raise SettingsError(f"{file}: '{pattern}' has no ros__parameters; expected '<node>: ros__parameters: ...'")
+        is_for = _is_for(str(pattern), node_name, namespace)
+        if str(pattern).rpartition("/")[2] == node_name:
+            holds[str(pattern)] = is_for
+        if is_for:
+            parameters = content["ros__parameters"] or {}
+            if not isinstance(parameters, dict):
+                raise SettingsError(f"{file}: {pattern}.ros__parameters is not a mapping of keys to values")
+            found.update(_flatten(parameters))
+    if holds and not any(holds.values()):
+        raise SettingsError(
+            f"{file}: {', '.join(holds)}: the {node_name} is in namespace {namespace}, where none of these sections "
+            f"holds; expected '{node_name}', which holds in every namespace, or '{namespace.rstrip('/')}/{node_name}'"
+        )
+    return found
+
+
+def check_node_names(file: Path) -> None:
+    """Check each section of a parameter file as `check_node_name` does, in whatever namespace it is."""
     for pattern in read_yaml(file):
-        if not any(_is_for(str(pattern), node) for node in NODES):
-            raise SettingsError(unknown_key(str(pattern), NODES, str(file), "node"))
+        check_node_name(str(pattern).rpartition("/")[2], str(file))
+
+
+def check_node_name(name: str, source: str) -> None:
+    """Raise `SettingsError`, naming `source` and the nearest node, if `name` is none of `NODES` and no wildcard."""
+    if name not in (*NODES, "*", "**"):
+        raise SettingsError(unknown_key(name, NODES, source, "node"))
 
 
 def check_values(values: Mapping[str, Any], known: Mapping[str, Setting], source: str) -> dict[str, Value]:
@@ -319,20 +342,13 @@ def as_arguments(parameters: Mapping[str, Any]) -> list[str]:
     return list(itertools.chain.from_iterable(pairs))
 
 
-def namespace_arguments(namespace: str, file: Path, node_name: str) -> list[str]:
-    """ROS arguments that put a node into a namespace, with what a parameter file has for it; none for the root.
-
-    ROS would ignore the file's sections there, unless they begin with a wildcard, and share one clock.
-    """
-    if namespace == "/":
-        return []
-    return ["-r", f"__ns:={namespace}", "-r", "/clock:=clock", *as_arguments(parameters_in(file, node_name))]
-
-
-def _is_for(pattern: str, node_name: str) -> bool:
-    """Whether a section of a parameter file is for a node without a namespace; ** stands for any namespace."""
-    *spaces, name = pattern.strip("/").split("/")
-    return name in (node_name, "*", "**") and all(space == "**" for space in spaces)
+def _is_for(pattern: str, node_name: str, namespace: str) -> bool:
+    """Whether a section of a parameter file is for a node; * stands for one name, ** for any number of them."""
+    names = pattern.strip("/").split("/")
+    if len(names) == 1:
+        return names[0] in (node_name, "*", "**")
+    expression = "".join({"**": r"(/\w+)*", "*": r"/\w+"}.get(name, f"/{re.escape(name)}") for name in names)
+    return re.fullmatch(expression, f"{namespace.rstrip('/')}/{node_name}") is not None
 
 
 def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -210,7 +210,7 @@ class Stack:
         self._arrived = list(self.robot.read())
         if not self._arrived:
             raise InputError("robot: read() returned no joint state; expected one from the start")
-        self.state = self._arrived[-1]
+        self.state = self.planner.state = self._arrived[-1]
         self._look()
 
     @property

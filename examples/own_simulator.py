@@ -32,7 +32,6 @@ planner = cr.make_planner(arm, capacity=1, planning=cr.PlanningSettings(deadline
 controller = cr.Controller(arm, cr.ControllerSettings())
 observer = cr.Observer(arm, cr.ObserverSettings(), cr.ContactBudget())
 planner.core.warm_up(print)
-planner.command(GOAL)
 
 torque, pressed = None, 0.0
 for step in range(20_000):
@@ -46,6 +45,9 @@ for step in range(20_000):
         controller.withdraw()
     center = BALL + data.qpos[arm.n :]
     planner.see(cr.Spheres(center[None], BALL[None], [RADIUS], [STIFFNESS], [DAMPING]))
+    if step == 0:
+        planner.request(state)  # goals start from a joint state
+        planner.command(GOAL)
     request = planner.request(state)
     if request is not None:
         controller.follow(planner.solve(request).references())

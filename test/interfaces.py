@@ -82,6 +82,7 @@ def _managed(
     return replace(node, publishes=node.publishes | {"~/transition_event"})
 
 
+_RECORDER = _managed(RECORDER, topics.ALL)
 _LIFECYCLE = (
     _managed("driver", [topics.COMMANDS, topics.LOCKSTEP_HORIZON, topics.GOAL_STATE], _STOP),
     _managed("controller", [*_PACE, *_REFERENCES, topics.SAFETY_STATE, topics.SETTINGS], _STOP),
@@ -96,13 +97,17 @@ _LIFECYCLE = (
             *(f"controller_manager/{service}" for service in ("list_controllers", "switch_controller")),
         ],
     ),
-    _managed(RECORDER, topics.ALL),
+    replace(_RECORDER, subscribes=_RECORDER.subscribes | set(topics.OF_OTHERS)),
     _managed(VIEWER, HEARD_BY_VIEWER, calls=_STOP_AND_RESET),
 )
 
 INTERFACES = {
     **dict(zip(MANAGED, _LIFECYCLE, strict=True)),
-    "bringup": _node([], [topics.JOINT_STATES], [], [*(f"{name}/get_state" for name in MANAGED), "controller/stop"]),
+    "bringup": _node(
+        [],
+        [topics.JOINT_STATES, topics.ROBOT_DESCRIPTION],
+        calls=[*(f"{name}/get_state" for name in MANAGED), "controller/stop"],
+    ),
     DOCTOR: _node(
         [],
         topics.ALL,

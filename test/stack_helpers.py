@@ -30,6 +30,7 @@ from contact_reach_ros.messages.serialized import joint_state_writer
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.managed_node import ManagedNode
+from contact_reach_ros.settings import NODES
 
 SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
 """The bag that the package ships: the arm touches a ball."""
@@ -60,6 +61,22 @@ def module(name: str) -> list[str]:
     return [sys.executable, "-m", f"contact_reach_ros.{name}"]
 
 
+def prefix(folder: Path, command: str = "-m contact_reach_ros.nodes.{}") -> dict[str, str]:
+    """Make a folder in which launch finds the executables of the nodes; returns the variable that names it.
+
+    `command`: what Python runs for a node, in place of whose name are braces.
+    """
+    index, executables = folder / "share/ament_index/resource_index/packages", folder / "lib/contact_reach_ros"
+    index.mkdir(parents=True)
+    executables.mkdir(parents=True)
+    (index / "contact_reach_ros").touch()
+    for name in NODES:
+        file = executables / name
+        file.write_text(f'#!/bin/sh\nexec {sys.executable} {command.format(name)} "$@"\n')
+        file.chmod(0o755)
+    return {"AMENT_PREFIX_PATH": str(folder)}
+
+
 @contextmanager
 def ros(*parameters: str, more: Sequence[str] = (), domain: str | None = None) -> Iterator[None]:
     """Start rclpy in this process with parameters (name:=value) and more ROS arguments, in a domain of its own."""
@@ -73,9 +90,10 @@ def ros(*parameters: str, more: Sequence[str] = (), domain: str | None = None) -
 
 def hand_in(inbox: Inbox, topic: Topic, data: bytes) -> None:
     """Have an inbox handle the bytes of a message as if they had just arrived."""
-    for listened in (*inbox._subscriptions, *inbox._unhurried):
-        if listened.topic.name == topic.name:
-            inbox._handle(listened, data, time.time_ns())
+    # Of two subscriptions to a topic one gets it first.
+    found = [each for each in (*inbox._subscriptions, *inbox._unhurried) if each.topic.name == topic.name]
+    for listened in found[:1]:
+        inbox._handle(listened, data, time.time_ns())
 
 
 class AtRest:

@@ -45,7 +45,8 @@ class Command(NamedTuple):
     @property
     def words(self) -> list[str]:
         """Program and arguments, without variables that are set for it."""
-        words = shlex.split(self.line)
+        # docs/real_robot.md lets the reader choose.
+        words = shlex.split(self.line.replace("$KIND", "lbr"))
         while re.match(r"[A-Z_]+=", words[0]):
             words = words[1:]
         return words
@@ -72,8 +73,9 @@ def _lines(page: Path) -> list[str]:
 COMMANDS = commands()
 TEXTS = sorted(page for pattern in (*PAGES, "CHANGELOG.md") for page in ROOT.glob(pattern))
 PARSER = _parser()
-SHELL = ("cd", "export", "for", "printf", "source")
+SHELL = ("cd", "cp", "export", "for", "printf", "source")
 INSTALLING = ("make venv", "make build")
+LAUNCH = ROOT / "launch"
 OF_DRIVERS = ("controller_manager", "franka_bringup", "lbr_bringup")
 """Packages whose commands are theirs."""
 TARGETS = re.findall(r"^(\w+):.*## ", (ROOT / "Makefile").read_text(), re.MULTILINE)
@@ -91,9 +93,13 @@ def check_ros2(words):
     match words:
         case ["run", "contact_reach_ros", name, *arguments]:
             check_node(name, arguments)
-        case ["launch", "contact_reach_ros", "bringup.launch.py", *arguments]:
-            given = dict(text.split(":=") for text in arguments)
-            BringupOptions.from_mapping({name: yaml.safe_load(text) for name, text in given.items()}, "launch")
+        case ["launch", "contact_reach_ros", file, *arguments]:
+            assert (LAUNCH / file).is_file()
+            given = dict(text.split(":=", 1) for text in arguments if text != "-s")
+            of_launch = re.findall(r'^    "(\w+)": \("', (LAUNCH / "bringup.launch.py").read_text(), re.MULTILINE)
+            values = {name: yaml.safe_load(text) for name, text in given.items() if name not in of_launch}
+            values |= {"overrides": shlex.split(given["overrides"])} if "overrides" in given else {}
+            BringupOptions.from_mapping(values, "launch")
         case ["launch" | "run", package, *_] if package in OF_DRIVERS:
             pass
         case ["topic", "pub", "--once", name, kind, content]:
@@ -170,7 +176,8 @@ def headings(page: Path) -> set[str]:
 NOT_RUN = {
     r"ros2 |source /opt/ros|source install|cd \$\(ros2|for policy|export ROS_SEC|ROS_SECURITY": "needs ROS 2 sourced",
     r"contact-reach bench|make bench|make -C|python -m benchmarks": "takes minutes to hours; see test/benchmarks",
-    r"--no-driver": "needs a robot",
+    r"--no-driver|\$KIND": "needs a robot; test/stacks/test_standins.py has the stages of real_robot.md",
+    r"^cp ": "belongs to one of them",
     r"--namespace": "needs two stacks; test/stacks/test_namespaces.py has them",
     r"contact-reach identify\b": "moves the arm; test/stacks has a stack for it",
     r"--discovery subnet": "opens the nodes to the network",

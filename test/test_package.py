@@ -1,6 +1,7 @@
 """The package as users get it: built by colcon, found through the ament index, started as `ros2 run` does."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -91,6 +92,22 @@ def test_every_shared_file_is_installed_and_versions_agree(workspace):
         assert installed and installed == files_in(workspace.sources / folder)
     manifest = ElementTree.parse(workspace.share / "package.xml")
     assert manifest.findtext("version") == workspace.distribution.version == contact_reach_ros.__version__
+
+
+DRIVERS = {"controller_manager_msgs", "franka_msgs", "lbr_fri_idl"}
+"""Packages of robots' drivers, imported where they are installed."""
+
+
+def test_the_manifest_lists_the_ros_packages_that_are_imported_or_started():
+    files = [*SOURCES.glob("contact_reach_ros/**/*.py"), *SOURCES.glob("launch/*.py")]
+    text = "\n".join(file.read_text() for file in files)
+    names = r"\w+_msgs|\w+_interfaces|\w+_idl|rclpy|launch_ros|launch|tf2_ros"
+    imported = set(re.findall(rf"^\s*(?:from|import) ({names})\b", text, re.MULTILINE))
+    started = set(re.findall(r'package="(\w+)"', text))
+    assert {"sensor_msgs", "tf2_ros", "launch_ros"} <= imported and "rviz2" in started
+    needed = {"tf2_ros_py" if name == "tf2_ros" else name for name in imported | started} - DRIVERS
+    listed = {entry.text for entry in ElementTree.parse(SOURCES / "package.xml").iter("exec_depend")}
+    assert needed <= listed
 
 
 @pytest.fixture

@@ -35,7 +35,8 @@ def test_the_packages_own_file_passes():
     ("nodes", "message"),
     [
         ({"plannner": {"period": 0.1}}, "unknown node 'plannner'; did you mean 'planner'"),
-        ({"/arm/planner": {}}, "unknown node '/arm/planner'"),
+        ({"/arm/planer": {}}, "unknown node 'planer'; did you mean 'planner'"),
+        ({"/arm/planner": {}}, "/arm/planner: the planner is in namespace /"),
         ({"planner": {"perod": 0.1}}, "planner: unknown key 'perod'; did you mean 'period'"),
         ({"/**/observer": {"momentum": {"gian": 9.0}}}, "observer: unknown key 'momentum.gian'"),
         ({"controller": {"limits": {"torque_share": 2.0}}}, "controller: limits.torque_share = 2.0: expected a number"),
@@ -83,7 +84,9 @@ def test_what_is_given_on_top_of_the_file_counts(written):
 def test_wildcards_mean_what_they_mean_in_ros(written, wildcard):
     """As tried with rclpy; of two sections for a node the later one holds."""
     assert parameters_in(written(**{wildcard: {"cpus": "0"}}), "controller") == {"cpus": "0"}
-    assert parameters_in(written(**{"/*/controller": {"cpus": "0"}}), "controller") == {}
+    with pytest.raises(SettingsError, match=r"/\*/controller: the controller is in namespace /, where none of these"):
+        parameters_in(written(**{"/*/controller": {"cpus": "0"}}), "controller")
+    assert parameters_in(written(**{"/*/controller": {"cpus": "0"}}), "controller", "/left") == {"cpus": "0"}
 
 
 PAPER = ("paper_linear", "paper_hinge")

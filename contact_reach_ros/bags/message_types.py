@@ -6,6 +6,8 @@ Bags are written with ROS's own types, which come from tables that are part of `
 from __future__ import annotations
 
 import functools
+import importlib
+import re
 import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -35,11 +37,42 @@ def _standard_types() -> Typestore:
 def standard_definition(name: str) -> tuple[bytes, str]:
     """The text of the .msg file followed by each dependency once, as in `ros2msg` schemas, and the hash of the type.
 
-    It must be one of ROS 2 Jazzy's types.
+    It must be one of ROS 2 Jazzy's types, or one that is installed.
     """
     store = _standard_types()
+    _learn(name)
     text, _ = store.generate_msgdef(name, ros_version=2)
     return text.encode(), store.hash_rihs01(name)
+
+
+def message_class(name: str) -> Any:
+    """Return the class of a message type, such as sensor_msgs/msg/JointState; None if it is not installed."""
+    package, _, kind = name.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), kind, None)
+    except (ImportError, TypeError, ValueError):
+        return None
+
+
+_LIST = re.compile(r"sequence<(?P<of>.+?)(?:, (?P<most>\d+))?>|(?P<item>.+)\[(?P<length>\d+)\]")
+_IDL = {"double": "float64", "float": "float32", "boolean": "bool", "octet": "byte"}
+"""Names of types in message classes that differ from those in .msg files."""
+
+
+def _learn(name: str) -> None:
+    """Define a type that is not ROS's own by the fields of its installed class, which has no constants."""
+    if name in _standard_types().fielddefs:
+        return
+    lines = []
+    for field, kind in message_class(name).get_fields_and_field_types().items():
+        found, size = _LIST.fullmatch(kind), ""
+        if found:
+            kind = found["of"] or found["item"]
+            size = f"[{found['length'] or (found['most'] and '<=' + found['most']) or ''}]"
+        if "/" in kind:
+            _learn(kind.replace("/", "/msg/"))
+        lines.append(f"{_IDL.get(kind, kind).replace('<', '<=').replace('>', '')}{size} {field}")
+    _standard_types().register(get_types_from_msg("\n".join(lines), name))
 
 
 class Decoder:

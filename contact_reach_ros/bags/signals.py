@@ -24,6 +24,8 @@ from contact_reach_ros.messages.values import goal_in, nanoseconds, numbers, rea
 from contact_reach_ros.timing import NANOSECONDS
 
 SETTINGS = "settings"
+COMMANDS = ("adapter/commands", "effort_controller/commands")
+"""Topics with the controller's torques, in the arm's order: behind an adapter the second one is the drive's."""
 
 _ONLOOKERS = ("recorder", "viewer")
 """Nodes that may have been started apart from the stack, with another arm."""
@@ -230,9 +232,10 @@ def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:
 def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
     """Read an episode; joints and contact links are mapped by name to those of the arm."""
     joints, count = arm.joint_names, arm.n
+    commands = next((name for name in COMMANDS if f"/{name}" in bag.topics), COMMANDS[-1])
     columns: dict[str, Collector] = {
         "joint_states": JointStates(("position", "velocity", "effort"), joints),
-        "effort_controller/commands": Arrays(count),
+        commands: Arrays(count),
         "external_torque": JointStates(("effort",), joints),
         "sim/contacts": JointStates(("effort",), (*arm.contact_links, "sum", "max")),
     }
@@ -273,7 +276,9 @@ def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
         settings,
         (
             *(f"{name}: is {kind}, expected {_SPARSE[name]}; it is left out" for name, kind in other.items()),
-            *_oddities({"joint_states": state, "external_torque": torque, "sim/contacts": contact}, command),
+            *_oddities(
+                {"joint_states": state, "external_torque": torque, "sim/contacts": contact}, {commands: command}
+            ),
         ),
     )
 
@@ -349,8 +354,8 @@ def _answers(commands: Column, batches: Sequence[np.ndarray]) -> np.ndarray:
     return answers[(answers >= 0) & (answers < NANOSECONDS)]
 
 
-def _oddities(columns: Mapping[str, Column], commands: Column) -> Iterator[str]:
-    for name, column in {**columns, "effort_controller/commands": commands}.items():
+def _oddities(columns: Mapping[str, Column], commands: Mapping[str, Column]) -> Iterator[str]:
+    for name, column in {**columns, **commands}.items():
         if column.refused:
             yield f"{name}: {column.refused} messages cannot be read and are left out"
     for name, column in columns.items():

@@ -101,7 +101,7 @@ class BagWriter:
             self._custom_data_written = False
 
     def add_topic(self, topic: RecordedTopic) -> None:
-        """Add a topic of a type that is ROS's own; its messages can be written from now on."""
+        """Add a topic of ROS's own types, or of an installed one; its messages can be written from now on."""
         text, type_hash = standard_definition(topic.type)
         if topic.type not in self._schema_ids:
             self._schema_ids[topic.type] = self._writer.register_schema(topic.type, ROS2MSG, text)

@@ -11,14 +11,15 @@ from typing import Any
 
 from rclpy.node import Node
 
+from contact_reach_ros.bringup.processes import resolved
 from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS, BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
-from contact_reach_ros.ros.parameters import check_arguments
-from contact_reach_ros.ros.process import bare_node, in_namespace
-from contact_reach_ros.settings import NODES, as_arguments, check_node_names, parameters_in
+from contact_reach_ros.ros.parameters import check_arguments, namespace_in
+from contact_reach_ros.ros.process import bare_node, in_namespace, with_description
+from contact_reach_ros.settings import NODES, as_arguments, parameters_in
 
 NAME = "bringup"
 
@@ -36,8 +37,10 @@ def up(namespace: str = "", **options: Any) -> int:
 def run_bringup(arguments: list[str]) -> int:
     """Run with a command line, program name first; returns the exit code."""
     try:
-        options: BringupOptions = check_arguments(arguments, NAME, BRINGUP_SECTIONS)[""]
+        arguments = with_description(arguments, NAME)
+        options = resolved(check_arguments(arguments, NAME, BRINGUP_SECTIONS)[""], NAME, arguments)
         _check_own_files(arguments, options)
+        arguments = [*arguments, *options.remappings]
         with bare_node(NAME, options.discovery, arguments) as node:
             _say_discovery(node, options.discovery)
             with StackProcesses(Client(node), options, passed_on=_remappings(arguments)) as stack:
@@ -69,9 +72,8 @@ def _check_own_files(arguments: Sequence[str], options: BringupOptions) -> None:
         file = Path(value)
         if option != "--params-file" or file.resolve() == options.parameter_file.resolve():
             continue
-        check_node_names(file)
-        own = parameters_in(file, NAME).keys()
-        others = [node for node in NODES if parameters_in(file, node).keys() - own]
+        own = parameters_in(file, NAME, namespace_in(arguments)).keys()
+        others = [node for node in NODES if parameters_in(file, node, namespace_in(arguments)).keys() - own]
         if others:
             raise SettingsError(
                 f"{file}: bring-up does not pass on what is for {', '.join(others)}; give the nodes' file as "

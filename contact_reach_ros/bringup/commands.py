@@ -45,7 +45,7 @@ def goto(
     """
     rotation = None if rpy is None else Rotation.from_euler("xyz", list(rpy)).as_matrix()
     with connect(discovery, namespace) as client:
-        client.wait_for(client.missing)
+        client.wait_until_ready()
         orientation = client.settings[PLANNER].get("goal_orientation")
         if (rpy is not None) != (orientation == POSE):
             remedy = "give the orientation with --rpy" if rpy is None else "give no --rpy, or start it with pose"
@@ -61,7 +61,7 @@ def home(wait: bool = False, timeout: float = 30.0, discovery: str = "host", nam
     from contact_reach_ros.arm.model import RobotModel
 
     with connect(discovery, namespace) as client:
-        client.wait_for(client.missing)
+        client.wait_until_ready()
         return _go(client, *RobotModel(client.arm).tip_pose(np.array(client.arm.home)), wait, timeout)
 
 

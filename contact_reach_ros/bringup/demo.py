@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from contact_reach_ros.arm import Array
-from contact_reach_ros.bringup.processes import BringupOptions, page_address, stack_arm
+from contact_reach_ros.bringup.processes import BringupOptions, page_address, resolved, stack_arm
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import BagError, ContactReachError, InputError
 from contact_reach_ros.messages import topics
@@ -83,7 +83,7 @@ def _run(options: DemoOptions) -> tuple[int, float]:
     """Run the demo once; returns the exit code and the share of missed ticks, 0 after a failure of the stack."""
     name = f"demo_{read_scene(options.scene).name}_{options.seed}_{datetime.now():%Y%m%d_%H%M%S}"
     bag = options.output.resolve() / name
-    bringup = BringupOptions(
+    options_of_stack = BringupOptions(
         scene=options.scene,
         lockstep=options.lockstep,
         bag=str(bag),
@@ -96,6 +96,7 @@ def _run(options: DemoOptions) -> tuple[int, float]:
             *(["driver:waits_for_goal=true"] if options.lockstep else []),
         ),
     )
+    bringup = resolved(options_of_stack, DEMO)
     interrupted, is_over, failure = False, False, ""
     with bare_node(DEMO) as node:
         goal = None if options.goal is None else np.array(options.goal)

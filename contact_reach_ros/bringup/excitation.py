@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.arm import Arm, Array, JointState, link_frames
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.drives.settings import FRANKA, FRANKA_STATES
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.identification.recording import Recording, recording_of
 from contact_reach_ros.messages import topics
@@ -19,6 +20,7 @@ from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.topics import Qos
 from contact_reach_ros.ros.client import PLANNER, StackClient, connect
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
+from contact_reach_ros.ros.interfaces import ADAPTER
 from contact_reach_ros.world.collision import clearances, nearest
 from contact_reach_ros.world.goal import POSE, Target
 from contact_reach_ros.world.spheres import Spheres
@@ -56,12 +58,14 @@ def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Map
     no room, or is stopped on the way.
     """
     with connect(discovery, namespace) as client:
-        client.wait_for(client.missing)
+        client.wait_until_ready()
         client.wait_for(lambda: [] if _OBSERVER in client.settings else ["settings of the observer"])
-        reader = JointStateReader(client.arm.joint_names, topics.JOINT_STATES.name)
+        is_franka = client.settings.get(ADAPTER, {}).get("kind") == FRANKA
+        topic = topics.JOINT_STATES._replace(name=FRANKA_STATES) if is_franka else topics.JOINT_STATES
+        reader = JointStateReader(client.arm.joint_names, topic.name)
         states: list[JointState] = []
-        client.inbox.add(topics.JOINT_STATES, lambda data: states.append(reader.read(data)), _QOS, serialized=True)
-        client.wait_for(lambda: [] if states else [topics.JOINT_STATES.name])
+        client.inbox.add(topic, lambda data: states.append(reader.read(data)), _QOS, serialized=True)
+        client.wait_for(lambda: [] if states else [topic.name])
         if client.settings[PLANNER].get("goal_orientation") != POSE:
             raise InputError(
                 "the motion turns the wrist: start the stack with --set planner:goal_orientation=pose, or give a bag"

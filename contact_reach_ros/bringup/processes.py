@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,8 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import budget_file
 from contact_reach_ros.presets import SECTIONS, check_parameters
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, VIEWER
+from contact_reach_ros.ros.parameters import namespace_in
+from contact_reach_ros.ros.process import described
 from contact_reach_ros.settings import RATE, ROBOT, check_values, parameters_in, parse_yaml
 from contact_reach_ros.simulation.settings import DriverSettings
 from contact_reach_ros.viewer.settings import VIEWER_SECTIONS, ViewerSettings
@@ -81,8 +84,8 @@ def _overrides(texts: Sequence[str], arm: Arm) -> dict[str, dict[str, ParameterV
     return found
 
 
-def processes(options: BringupOptions) -> list[Process]:
-    """Make the table of processes; they are ended in the reverse order.
+def processes(options: BringupOptions, namespace: str = "/") -> list[Process]:
+    """Make the table of processes in a namespace; they are ended in the reverse order.
 
     Raises `SceneError` or `SettingsError` if the scene is unknown, its file, the parameter file or an override is
     wrong, or nodes would not go together.
@@ -91,7 +94,7 @@ def processes(options: BringupOptions) -> list[Process]:
     arm: dict[str, ParameterValue] = {ROBOT.name: options.robot} if options.robot else {}
     rate: dict[str, ParameterValue] = {RATE.name: options.state_rate} if options.state_rate else {}
     time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep, **rate, **arm}
-    changed = _overrides(options.overrides, stack_arm(options))
+    changed = _overrides(options.overrides, stack_arm(options, namespace))
     table = []
     adapted = options.adapter != "none"
     if adapted:
@@ -101,7 +104,7 @@ def processes(options: BringupOptions) -> list[Process]:
     if options.view:
         table.append(Process(VIEWER, time, early=True, essential=False))
     if options.bag:
-        recording = {"bag": options.bag, **_origin(options, changed["driver"]), **time}
+        recording = {"bag": options.bag, **_origin(options, changed["driver"], namespace), **time}
         table.append(Process(RECORDER, recording, early=True))
     if options.driver:
         table.append(Process("driver", {"scene": options.scene, **time, **changed["driver"]}))
@@ -115,18 +118,30 @@ def processes(options: BringupOptions) -> list[Process]:
     # The planner plans for the controller's gains.
     gains = {f"controller:{name}": value for name, value in changed["controller"].items()}
     # Of what stands around a real robot the simulated scene knows nothing.
-    obstacles = _obstacles(scene, options.parameter_file) if options.driver else {}
+    obstacles = _obstacles(scene, options.parameter_file, namespace) if options.driver else {}
     # With a deadline on the wall's clock plans would depend on how busy the machine is.
     unhurried = {"planning.deadline": 0.0} if options.lockstep else {}
     planning = {**time, **obstacles, **gains, **unhurried, **changed["planner"]}
     table.append(Process("planner", planning, early=True))
-    check_parameters(options.parameter_file, {process.name: process.parameters for process in table})
+    given = {process.name: process.parameters for process in table}
+    check_parameters(options.parameter_file, given, options.robot, namespace)
     return table
 
 
-def stack_arm(options: BringupOptions) -> Arm:
-    """The arm of the stack, with its tool; raises `SettingsError` if the parameter file has none that there is."""
-    own = parameters_in(options.parameter_file, "planner")
+def resolved(options: BringupOptions, node_name: str, arguments: Sequence[str] = ()) -> BringupOptions:
+    """These options with a file for an arm whose description is published, also where the parameter file says so.
+
+    Parameters and errors are those of `ros.process.described`.
+    """
+    own = parameters_in(options.parameter_file, "planner", namespace_in(arguments))
+    robot = options.robot or str(own.get(ROBOT.name, ""))
+    path = described(robot, node_name, options.discovery, arguments)
+    return options if path == robot else dataclasses.replace(options, robot=path)
+
+
+def stack_arm(options: BringupOptions, namespace: str = "/") -> Arm:
+    """The arm of a stack, with its tool; raises `SettingsError` if the parameter file has none that there is."""
+    own = parameters_in(options.parameter_file, "planner", namespace)
     return arm_in({**own, ROBOT.name: options.robot} if options.robot else own, str(options.parameter_file))
 
 
@@ -140,15 +155,15 @@ def page_address(parameter_file: Path) -> str:
     return settings.page_address(settings.port)
 
 
-def _origin(options: BringupOptions, changed: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
+def _origin(options: BringupOptions, changed: Mapping[str, ParameterValue], space: str) -> dict[str, ParameterValue]:
     """Facts about the run that its bag keeps; `changed` holds the overrides of the driver."""
-    budget = str(parameters_in(options.parameter_file, OBSERVER).get("contact_budget", ""))
+    budget = str(parameters_in(options.parameter_file, OBSERVER, space).get("contact_budget", ""))
     files = {
         "parameter_file": options.parameter_file,
         "scene_file": scene_file(options.scene),
         "contact_budget": budget_file(budget),
     }
-    given = {**parameters_in(options.parameter_file, "driver"), **changed}
+    given = {**parameters_in(options.parameter_file, "driver", space), **changed}
     drawn = {entry.name: given.get(entry.name, entry.default) for entry in DriverSettings.declared()}
     lockstep = "true" if options.lockstep else "false"
     values = {"scene": options.scene, "seed": drawn["seed"], "target": drawn["target"], "lockstep": lockstep}
@@ -158,7 +173,7 @@ def _origin(options: BringupOptions, changed: Mapping[str, ParameterValue]) -> d
     }
 
 
-def _obstacles(scene: SceneFile, parameter_file: Path) -> dict[str, ParameterValue]:
+def _obstacles(scene: SceneFile, parameter_file: Path, namespace: str) -> dict[str, ParameterValue]:
     """Parameters of the planner that describe the obstacles of a scene, except those that the parameter file has.
 
     The planner has one stiffness for all balls and one for all meshes: the largest, where they differ.
@@ -172,5 +187,5 @@ def _obstacles(scene: SceneFile, parameter_file: Path) -> dict[str, ParameterVal
             name, value = "sphere_stiffness", material.stiffness
         values[name] = max(value, values.get(name, 0.0))
     capacity: dict[str, ParameterValue] = {"max_spheres": sphere_capacity(scene)}
-    chosen = parameters_in(parameter_file, "planner")
+    chosen = parameters_in(parameter_file, "planner", namespace)
     return {name: value for name, value in {**capacity, **values}.items() if name not in chosen}

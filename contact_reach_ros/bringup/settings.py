@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from contact_reach_ros.drives.settings import FRANKA, KINDS, LBR
+from contact_reach_ros.drives.settings import FRANKA, FRANKA_STATES, KINDS, LBR
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import DEFAULT_PARAMETERS, Sections, Settings, setting
@@ -20,7 +20,9 @@ class BringupOptions(Settings):
     state_rate: float = setting(
         0.0, "nominal rate of joint states; 0 leaves it to the parameter file", unit="Hz", minimum=0.0, maximum=1000.0
     )
-    robot: str = setting("", "arm: a name, or the path of its file; empty leaves it to the parameter file")
+    robot: str = setting(
+        "", "arm: a name, the path of its file, or robot_description; empty leaves it to the parameter file"
+    )
     bag: str = setting("", "directory to record a bag to; none when empty")
     parameters: str = setting("", "parameter file for the nodes; the package's own when empty")
     driver: bool = setting(True, "start the simulated driver; false with a real robot's driver")
@@ -46,6 +48,11 @@ class BringupOptions(Settings):
                 f"BringupOptions.adapter = {self.adapter}: expected driver = false (--no-driver); the simulated driver "
                 "has not the topics of that one"
             )
+
+    @property
+    def remappings(self) -> list[str]:
+        """ROS arguments for all nodes, to come after the user's: of the remappings of a name the first one holds."""
+        return ["--ros-args", "-r", f"joint_states:={FRANKA_STATES}"] if self.adapter == FRANKA else []
 
     @property
     def parameter_file(self) -> Path:

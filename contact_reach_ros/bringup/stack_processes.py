@@ -23,8 +23,9 @@ from contact_reach_ros.resources import PACKAGE
 from contact_reach_ros.ros.client import CONTROLLER, Client, StackClient
 from contact_reach_ros.ros.graph import refuse_beside_another
 from contact_reach_ros.ros.interfaces import RECORDER
+from contact_reach_ros.ros.process import in_namespace
 from contact_reach_ros.ros.scheduling import prioritise_middleware
-from contact_reach_ros.settings import as_arguments, namespace_arguments
+from contact_reach_ros.settings import as_arguments
 
 _ACTIVE = "active"
 _BRAKED = "braked"
@@ -89,7 +90,7 @@ class StackProcesses:
         """The last signal that came."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._interrupt)
-        self._table = processes(options)
+        self._table = processes(options, client.node.get_namespace())
         self._names = [process.name for process in self._table]
         self.parameter_file = options.parameter_file
         self._log_path = log
@@ -206,10 +207,9 @@ class StackProcesses:
         self._signal = number
 
     def _start(self, process: Process) -> None:
-        file = self.parameter_file
         arguments = [
-            *("--ros-args", "--enclave", process.enclave, "--params-file", str(file)),
-            *namespace_arguments(self.client.node.get_namespace(), file, process.name),
+            *("--ros-args", "--enclave", process.enclave, "--params-file", str(self.parameter_file)),
+            *in_namespace(self.client.node.get_namespace()),
             *self._passed_on,
             *as_arguments(process.parameters),
         ]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import arm_in
+from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.doctor import arm as joints
 from contact_reach_ros.doctor import machine
 from contact_reach_ros.doctor.findings import (
@@ -23,78 +26,95 @@ from contact_reach_ros.doctor.findings import (
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.presets import check_parameters
-from contact_reach_ros.resources import config_file
-from contact_reach_ros.settings import DEFAULT_PARAMETERS, NODES, RATE, parameters_in
+from contact_reach_ros.settings import NODES, RATE, ROBOT, parameters_in
 
 _LISTEN_S = 1.0
 
 
-def run_doctor(parameters: Path | None = None, discovery: str = "host", file: Path | None = None) -> int:
+def run_doctor(file: Path | None = None, **options: Any) -> int:
     """Make all checks and print them; returns the exit code: 1 if something failed, else 0.
 
-    `parameters` is the parameter file of the nodes, the package's own when None; `discovery` how far to look for them;
-    `file` takes the findings as JSON. Raises `InputError` if it cannot be written.
+    `file` takes the findings as JSON; `options` are those of `BringupOptions` with which the stack runs or will run.
+    With an adapter's kind and no stack, that driver is examined. Raises `InputError` if the file cannot be written.
     """
-    console, used = Console(), parameters or config_file(DEFAULT_PARAMETERS)
+    console, chosen = Console(), BringupOptions.from_mapping({"driver": False, **options}, "options")
     with console.status("looking at this machine and its software ..."):
-        report = examine(used, discovery)
+        report = examine(chosen)
     print_table(report, console)
     if file is not None:
         write_json(report, file)
     return exit_code(report)
 
 
-def examine(file: Path, discovery: str) -> Report:
+def examine(options: BringupOptions) -> Report:
     """Make all checks, of the nodes with a parameter file."""
+    options, parameters = _parameters(options)
     report = {
         "machine": {"timer at 1 kHz": machine.timer_jitter()},
-        "software": {"parameters": _parameters(file)},
+        "software": {"parameters": parameters},
     }
     try:
         # rclpy is only needed, and only has to be installed, for what follows.
-        from contact_reach_ros.doctor import stack
+        from contact_reach_ros.doctor import driver, stack
         from contact_reach_ros.messages import topics
         from contact_reach_ros.ros.discovery import environment
     except ImportError as error:
         fix = "source /opt/ros/jazzy/setup.bash, or install the wheels with make venv"
         report["software"]["rclpy"] = failed(f"cannot be imported ({error}): no node can run", fix)
         return report
-    os.environ.update(environment(discovery))
+    os.environ.update(environment(options.discovery))
     report["software"]["discovery"] = stack.discovery_in_use()
     try:
-        graph, heard = stack.look_around(discovery, _LISTEN_S)
+        graph, heard = stack.look_around(options.discovery, _LISTEN_S)
     except ContactReachError as error:
         fix = "see whether the middleware works: RMW_IMPLEMENTATION, ROS_DOMAIN_ID, the Fast DDS profile file"
         report["stack"] = {"nodes": failed(str(error), fix)}
         return report
-    report["stack"] = {"nodes": stack.nodes(graph)}
-    if graph.running:
+    if is_alone := options.adapter != "none" and not graph.states.keys() & set(stack.NEEDED_NODES):
+        report["stack"] = {}
+    else:
+        report["stack"] = {"nodes": stack.nodes(graph)}
+        if not graph.running:
+            return report
         report["stack"]["safety state"] = stack.safety_state(graph)
         report["stack"]["without commands"] = stack.commands_end(graph)
         report["topics"] = {topic.name: stack.topic(graph, topic) for topic in topics.ALL}
-        try:
-            settings = graph.settings.get("controller") or parameters_in(file, "controller")
-            arm = arm_in(settings, "the controller")
-            budget = load_budget(parameters_in(file, "observer").get("contact_budget", "")).resolve(arm)
-        except ContactReachError:
-            # The check of the file says why.
-            return report
-        record = stack.joint_record(heard, arm)
-        report["arm"] = {
-            "joint names and order": joints.joint_names(record, arm, graph.command_order),
-            "gravity against torque": joints.gravity(record, RobotModel(arm), budget),
-        }
-        # Simulated time may run at any speed.
-        if not graph.publishers[topics.CLOCK.name]:
-            report["arm"]["driver rate"] = joints.driver_rate(record, settings.get(RATE.name, RATE.default))
-            report["arm"]["clocks"] = joints.clock_skew(record)
+    try:
+        file, given = options.parameter_file, {ROBOT.name: options.robot, RATE.name: options.state_rate}
+        asked = {name: value for name, value in given.items() if value}
+        settings = graph.settings.get("controller") or parameters_in(file, "controller") | asked
+        rate = settings.get(RATE.name, RATE.default)
+        arm = arm_in(settings, "the controller")
+        budget = load_budget(parameters_in(file, "observer").get("contact_budget", "")).resolve(arm)
+        if is_alone:
+            report["driver"], record = driver.listen(options, arm, 1.0 / rate, _LISTEN_S)
+        else:
+            record = stack.joint_record(heard, arm)
+    except ContactReachError as error:
+        report["arm"] = {"driver": failed(str(error), "correct what the message names")} if is_alone else {}
+        return report
+    # The adapter puts commands into the drive's order.
+    order = arm.joint_names if is_alone or graph.adapter else graph.command_order
+    report["arm"] = {
+        "joint names and order": joints.joint_names(record, arm, order),
+        "gravity against torque": joints.gravity(record, RobotModel(arm), budget),
+    }
+    # Simulated time may run at any speed.
+    if not graph.publishers[topics.CLOCK.name]:
+        report["arm"]["driver rate"] = joints.driver_rate(record, rate)
+        report["arm"]["clocks"] = joints.clock_skew(record)
     return report
 
 
-def _parameters(file: Path) -> Finding:
-    """Check the whole parameter file as bring-up does."""
+def _parameters(options: BringupOptions) -> tuple[BringupOptions, Finding]:
+    """Check the whole parameter file as bring-up does; the options have a file for an arm that is described."""
+    file = options.parameter_file
     try:
-        check_parameters(file)
+        with contextlib.suppress(ImportError):
+            from contact_reach_ros.bringup.processes import resolved
+
+            options = resolved(options, "doctor")
+        check_parameters(file, robot=options.robot)
     except ContactReachError as error:
-        return failed(str(error), "correct what the message names")
-    return Finding(Verdict.PASS, f"{file}: valid for {', '.join(NODES)}")
+        return options, failed(str(error), "correct what the message names")
+    return options, Finding(Verdict.PASS, f"{file}: valid for {', '.join(NODES)}")

@@ -25,6 +25,7 @@ from sensor_msgs.msg import JointState
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.doctor.arm import JointRecord
 from contact_reach_ros.doctor.findings import Finding, Verdict, failed, graded
+from contact_reach_ros.drives.settings import FRANKA, FRANKA_STATES, LBR
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.safety_state import ERROR, read_level
@@ -36,7 +37,7 @@ from contact_reach_ros.ros.graph import full_name, node_of
 from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, DOCTOR, MANAGED, VIEWER
 from contact_reach_ros.ros.process import bare_node
 
-_NEEDED_NODES = ("controller", "observer", "planner")
+NEEDED_NODES = ("controller", "observer", "planner")
 """A real robot's driver may have any name; recorder and bring-up are not needed."""
 
 _NEEDED_TOPICS = (*ALONE, topics.SAFETY_STATE, topics.EXTERNAL_TORQUE)
@@ -45,9 +46,9 @@ _EFFORT_CONTROLLER = "effort_controller"
 """Name of the ros2_control controller that takes the commands, where there is one."""
 _DRIVE_TIMEOUT_S = 0.1
 """Recommended for a drive that has a timeout: the adapter's own time until a stop."""
-_ANYTHING = Qos(2000, reliable=False)
+ANYTHING = Qos(2000, reliable=False)
 """Matches every publisher."""
-_SETTLED_S = 3.5
+SETTLED_S = 3.5
 """A participant announces itself every three seconds; where the first answer was lost it is found no sooner."""
 _MATCHING_S = 1.0
 
@@ -95,6 +96,11 @@ class Graph:
     timeouts: Mapping[str, float] | None = None
 
     @property
+    def adapter(self) -> str:
+        """Kind of the adapter; empty without one."""
+        return str(self.settings.get(ADAPTER, {}).get("kind", ""))
+
+    @property
     def requires_observer(self) -> bool:
         """Whether the controller starts an arm only while an observer watches it."""
         return self.settings.get("controller", {}).get("supervision.require_observer") is not False
@@ -121,7 +127,7 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
     """
     with bare_node(DOCTOR, discovery) as node:
         client = Client(node)
-        time.sleep(_SETTLED_S)
+        time.sleep(SETTLED_S)
         names, states, order, timeouts = _nodes(node), {}, None, None
         for name in (name for name in MANAGED if f"/{name}" in names):
             answer = _ask(client, f"/{name}/get_state", GetState, GetState.Request())
@@ -135,21 +141,25 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
             timeouts = _timeouts(client)
         safety: dict[str, DiagnosticStatus] = {}
         settings: dict[str, Mapping[str, Any]] = {}
-        heard: list[tuple[JointState, int]] = []
+        # Franka's driver has slow states on joint_states, which its stack does not hear.
+        heard: dict[str, list[tuple[JointState, int]]] = {topics.JOINT_STATES.name: [], FRANKA_STATES: []}
         inbox = client.inbox
         inbox.add(topics.SAFETY_STATE, lambda status: safety.update({status.name: status}), topics.ALL_EVENTS)
         inbox.add(
             topics.SETTINGS, lambda status: settings.update({status.name: read_settings(status)}), topics.ALL_EVENTS
         )
-        inbox.add(topics.JOINT_STATES, lambda state: heard.append((state, inbox.received_ns)), _ANYTHING)
+        for name, came in heard.items():
+            take = lambda state, came=came: came.append((state, inbox.received_ns))  # noqa: E731
+            inbox.add(topics.JOINT_STATES._replace(name=name), take, ANYTHING)
         # What comes before every subscription is matched is no measure of rates.
         client.spin(_MATCHING_S)
-        heard.clear()
+        for came in heard.values():
+            came.clear()
         client.spin(seconds)
         graph = Graph(
             _nodes(node),
-            {topic.name: _endpoints(node.get_publishers_info_by_topic(topic.name)) for topic in topics.ALL},
-            {topic.name: _endpoints(node.get_subscriptions_info_by_topic(topic.name)) for topic in topics.ALL},
+            {topic.name: endpoints(node.get_publishers_info_by_topic(topic.name)) for topic in topics.ALL},
+            {topic.name: endpoints(node.get_subscriptions_info_by_topic(topic.name)) for topic in topics.ALL},
             states,
             [(name, status.message, read_level(status) >= ERROR) for name, status in safety.items()],
             settings,
@@ -157,7 +167,7 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
             timeouts,
         )
         client.close()
-    return graph, heard
+    return graph, heard[FRANKA_STATES if graph.adapter == FRANKA else topics.JOINT_STATES.name]
 
 
 def _ask(client: Client, service: str, kind: Any, request: Any) -> Any:
@@ -200,7 +210,8 @@ def _nodes(node: Node) -> list[str]:
     return sorted(name for name in found if name != f"/{DOCTOR}")
 
 
-def _endpoints(infos: Sequence[TopicEndpointInfo]) -> list[Endpoint]:
+def endpoints(infos: Sequence[TopicEndpointInfo]) -> list[Endpoint]:
+    """Those of others."""
     return [Endpoint(node_of(info), info.topic_type, info.qos_profile) for info in infos if info.node_name != DOCTOR]
 
 
@@ -215,13 +226,13 @@ def nodes(graph: Graph) -> Finding:
     """Check whether each node runs once and is active."""
     if not graph.running:
         found = f"no stack is running here; other nodes: {', '.join(graph.nodes) or 'none'}"
-        fix = "contact-reach up (with a real driver: --no-driver), with the same ROS_DOMAIN_ID and --discovery as here"
+        fix = "contact-reach up, with the same ROS_DOMAIN_ID and --discovery; with a real driver: doctor --adapter KIND"
         return graded(found, fix, warn=True)
     twice = sorted(node for node, count in Counter(graph.nodes).items() if count > 1)
     if twice:
         fix = "end one of the two stacks (ros2 node list), or give each robot a ROS_DOMAIN_ID of its own"
         return failed(f"more than one node is called {', '.join(twice)}", fix)
-    states = {**dict.fromkeys(_NEEDED_NODES, "missing"), **graph.states}
+    states = {**dict.fromkeys(NEEDED_NODES, "missing"), **graph.states}
     fixes = {
         "missing": "ros2 run contact_reach_ros {0}, or contact-reach up",
         "inactive": "ros2 lifecycle set /{0} activate",
@@ -274,7 +285,7 @@ def topic(graph: Graph, wanted: Topic) -> Finding:
     subscriptions = graph.subscriptions.get(wanted.name, ())
     found, fix = f"{_names(publishers) or 'nobody'} → {_names(subscriptions) or 'nobody'}", ""
     strange = [endpoint for endpoint in (*publishers, *subscriptions) if endpoint.type != wanted.type_name]
-    deaf = _incompatible(publishers, subscriptions)
+    deaf = incompatible(publishers, subscriptions)
     if strange:
         found += f"; {_names(strange)} uses {', '.join(sorted({endpoint.type for endpoint in strange}))}"
         fix = f"let {_names(strange)} use {wanted.type_name}, or another topic"
@@ -287,19 +298,21 @@ def topic(graph: Graph, wanted: Topic) -> Finding:
         found += f"; {deaf}"
         fix = "let the subscription ask for less (best effort, volatile), or the publisher offer more "
         fix += "(reliable, transient local)"
-    elif wanted in _NEEDED_TOPICS and not publishers:
+    elif wanted in _NEEDED_TOPICS and not publishers and not (wanted is topics.COMMANDS and graph.adapter == LBR):
         owners = [name for name, published in MANAGED.items() if wanted.name in published]
         fix = f"start {' or '.join(owners)}, or remap your topic to this name"
     return Finding(Verdict.FAIL if fix else Verdict.PASS, found, fix)
 
 
-def _incompatible(publishers: Sequence[Endpoint], subscriptions: Sequence[Endpoint]) -> str:
-    """The first subscription that gets nothing from a publisher, with the reason; empty if there is none."""
+def incompatible(publishers: Sequence[Endpoint], subscriptions: Sequence[Endpoint]) -> str:
+    """The first node that gets nothing from a publisher, with the reason; empty if there is none."""
     for publisher in publishers:
-        for subscription in subscriptions:
-            compatibility, reason = qos_check_compatible(publisher.qos, subscription.qos)
-            if compatibility == QoSCompatibility.ERROR:
-                return f"{subscription.node} gets nothing from {publisher.node}: {reason.strip().rstrip(';')}"
+        found = [(each.node, *qos_check_compatible(publisher.qos, each.qos)) for each in subscriptions]
+        # Several subscriptions of a node complement each other.
+        hear = {node for node, compatibility, _ in found if compatibility != QoSCompatibility.ERROR}
+        for node, _, reason in found:
+            if node not in hear:
+                return f"{node} gets nothing from {publisher.node}: {reason.strip().rstrip(';')}"
     return ""
 
 

@@ -30,7 +30,7 @@ class Phase(Enum):
     PASSING = "passing"
     """The commands."""
     HARMLESS = "harmless"
-    """Harmless torques: commands are silent, or the guard is stopped."""
+    """Harmless torques: commands are silent, the guard is stopped, or the drive is being checked."""
 
 
 class CommandGuard:
@@ -127,6 +127,11 @@ class CommandGuard:
                 self._resumed_ns = None
         self._sent = torque
         return torque
+
+    def hold(self) -> None:
+        """Send harmless torques until a command is passed on, although none has been yet."""
+        if self.phase is Phase.WAITING and self._state is not None:
+            self._begin_harmless(None)
 
     def watch(self, clock_ns: int) -> Array | None:
         """Look for silence; returns the harmless torque (n,), N m, to send now, None if there is nothing to send."""

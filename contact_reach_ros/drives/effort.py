@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from contact_reach_ros.arm import Arm, Array
-from contact_reach_ros.drives.settings import EffortSettings
+from contact_reach_ros.drives.settings import EFFORT, EffortSettings
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialized import command_writer
 
@@ -73,12 +73,15 @@ class EffortTarget:
         Why torques do not reach the arm, as the controller manager has answered `ask_idle`; empty if they do.
     """
 
+    SECTION = EFFORT
+    """Of its settings."""
+
     def __init__(self, node: Node, arm: Arm, settings: EffortSettings, carries: bool) -> None:
         """`carries`: whether the adapter's torques carry the arm."""
         self.topic = topics.COMMANDS._replace(name=f"{settings.controller}/commands")
         self.order: tuple[str, ...] = ()
         self.idle = ""
-        self._order_problem = ""
+        self._order_problem = self._found = ""
         self._node, self._arm, self._settings = node, arm, settings
         self._indices: list[int] = []
         self._writer = command_writer(arm.n)
@@ -108,12 +111,17 @@ class EffortTarget:
     @property
     def problem(self) -> str:
         """Why nothing can be passed on; empty when it can."""
-        return self._order_problem
+        return self._order_problem and self._order_problem + self._found
 
     def look(self) -> None:
         """Ask for the order of joints, unless it is known; to be called a few times a second."""
         if self._question is not None and self._order_problem:
+            self._found = self._find_elsewhere()
             self._question.send(GetParameters.Request(names=["joints"]))
+
+    def prepare(self) -> bool:
+        """Nothing has to be prepared with harmless torques before the first command."""
+        return False
 
     def ask_idle(self) -> None:
         """Ask whether torques still reach the arm; to be called a few times a second."""
@@ -139,6 +147,16 @@ class EffortTarget:
     def resume(self) -> None:
         """Activate it again."""
         self._switch_controller("activate")
+
+    def _find_elsewhere(self) -> str:
+        """Where else there is a controller of that name, in words; empty if it is where it is looked for."""
+        name = self._settings.controller.rpartition("/")[2]
+        own = self._node.resolve_topic_name(self._settings.controller)
+        nodes = self._node.get_node_names_and_namespaces()
+        found = {f"{namespace.rstrip('/')}/{each}" for each, namespace in nodes if each == name}
+        if not found or own in found:
+            return ""
+        return f"; there is {', '.join(sorted(found))}: set the parameter {self.SECTION}.controller to it"
 
     def _on_order(self, answer: Any) -> None:
         if answer.values:

@@ -9,7 +9,7 @@ from rclpy.node import Node
 
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.drives.effort import EffortTarget, RepeatedRequest
-from contact_reach_ros.drives.settings import FRANKA_TORQUE_RATE, FrankaSettings
+from contact_reach_ros.drives.settings import FRANKA, FRANKA_TORQUE_RATE, FrankaSettings
 from contact_reach_ros.errors import SettingsError
 
 try:
@@ -35,6 +35,8 @@ class FrankaTarget(EffortTarget):
     Nothing is passed on before the reflexes are set, nor while controller or observer have settings that the arm's own
     limits would cut short.
     """
+
+    SECTION = FRANKA
 
     def __init__(self, node: Node, arm: Arm, settings: FrankaSettings) -> None:
         """Raise `SettingsError` if the arm has not one joint for each reflex, or franka_msgs is needed and missing."""

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
 from lifecycle_msgs.msg import State
 from rclpy.node import Node
+from std_msgs.msg import String
 
 from contact_reach_ros.arm import Arm, Array, JointState
+from contact_reach_ros.drives.fri import FriStates
 from contact_reach_ros.drives.settings import LbrSettings
-from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialized import encode
-from contact_reach_ros.messages.topics import NEWEST, Qos, Topic
+from contact_reach_ros.messages.topics import LATCHED, NEWEST, Qos, Topic
 from contact_reach_ros.ros.inbox import Inbox
-from contact_reach_ros.timing import NANOSECONDS
 
 try:
     from lbr_fri_idl.msg import LBRState, LBRTorqueCommand
@@ -28,28 +27,17 @@ try:
 except ImportError:
     SetHardwareComponentState = None
 
-SESSION = ("IDLE", "MONITORING_WAIT", "MONITORING_READY", "COMMANDING_WAIT", "COMMANDING_ACTIVE")
-"""States of an FRI session; commands are taken in the last one only."""
-QUALITY = ("POOR", "FAIR", "GOOD", "EXCELLENT")
-"""Qualities of the connection; FRI commands from GOOD on."""
-_GOOD = QUALITY.index("GOOD")
-COMMAND_MODE = ("NO_COMMAND_MODE", "POSITION", "WRENCH", "TORQUE")
-"""What FRI takes from its client."""
-
-_RATE_TOLERANCE = 0.01
-_DRIFT = 1e-4
-"""By how much, at most, the robot's clock runs faster than this machine's, as a share."""
-_CLOCK_SET_NS = NANOSECONDS // 2
-_PAUSE_S = 1.0
-"""After a longer pause the velocity is unknown again."""
+_OBSERVER, _CUTOFF = "observer", "momentum.torque_cutoff"
+_LONGEST_PERIOD_S = 0.002
+_LARGEST_DESCRIPTION = 1 << 20
+"""Bytes."""
 
 
 class LbrTarget:
-    """Reads `<driver>/state`, and writes torque overlays with the measured positions to `<driver>/command/torque`.
+    """Reads `<driver>/state`, and writes torque overlays with positions to `<driver>/command/torque`.
 
-    The joint states have the robot's own time steps, on this machine's clock; velocities are filtered differences of
-    positions, since FRI has none. KUKA's controller carries the arm, and follows the position of a command softly: each
-    command mirrors the measured one.
+    KUKA's controller carries the arm. `FriStates` says what the joint states are, and what is checked before torques
+    are sent.
 
     A stop deactivates the driver's hardware component. It closes the connection, and KUKA's controller brakes the arm.
 
@@ -59,39 +47,38 @@ class LbrTarget:
         Of the commands.
     order
         Names of the joints in the order of the commands.
-    problem
-        Why nothing can be passed on; empty when it can.
-    idle
-        Why torques do not reach the arm, and KUKA's controller brakes it; empty if they do.
+    states
+        What the driver's states tell.
     """
 
     def __init__(self, node: Node, arm: Arm, settings: LbrSettings, period: float) -> None:
         """`period`: time between joint states, s.
 
-        Raises `SettingsError` if lbr_fri_idl is not installed, or the arm has not seven joints.
+        Raises `SettingsError` if lbr_fri_idl is not installed, states come too slowly, or the arm has not seven joints.
         """
         if LBRState is None:
             raise SettingsError(
                 "kind = lbr: the message package lbr_fri_idl is not installed; build lbr_fri_ros2_stack, and source "
                 "its workspace before the adapter starts"
             )
+        if period > _LONGEST_PERIOD_S:
+            raise SettingsError(
+                f"kind = lbr: state_rate = {1.0 / period:g} Hz; expected {1.0 / _LONGEST_PERIOD_S:g} to 1000, an FRI "
+                "send period of 1 or 2 ms: torques act two periods late, with which the laws are not stable below"
+            )
         if arm.n != len(LBRState().measured_torque):
             raise SettingsError(f"kind = lbr: {arm.name} has {arm.n} joints; expected an arm with seven")
         self.topic = Topic(f"{settings.driver}/command/torque", LBRTorqueCommand, topics.COMMANDS.qos, "commands")
         self.order = arm.joint_names
+        self.states = FriStates(arm, settings, period, bool(node.get_parameter("use_sim_time").value))
         self._source = Topic(f"{settings.driver}/state", LBRState, NEWEST, "FRI states")
-        self.problem = f"no state on {self._source.name} yet: start lbr_bringup, and LBRServer on the smartPAD"
-        self.idle = self.problem
-        self._node, self._settings, self._arm = node, settings, arm
-        self._period = period
-        self._is_simulated = bool(node.get_parameter("use_sim_time").value)
-        """Whether the robot's clock is everybody's."""
-        self._sign = 1.0 if settings.torque_sign == "positive" else -1.0
+        self._description = Topic(f"{settings.driver}/robot_description", String, LATCHED, "robot descriptions")
+        self._node, self._settings = node, settings
+        self._found = ""
+        """Where a driver is, if not where it is looked for."""
+        self._doubt = ""
         self._command = LBRTorqueCommand()
-        self._q: Array | None = None
-        self._v = np.zeros(arm.n)
-        self._robot_ns = self._ahead_ns = 0
-        """Time of the last state on the robot's clock, and how far this machine's is ahead of it."""
+        self._deactivated = ""
         self._switch = None
         if not settings.component:
             return
@@ -104,81 +91,58 @@ class LbrTarget:
             service = f"{settings.driver}/controller_manager/set_hardware_component_state"
             self._switch = node.create_client(SetHardwareComponentState, service)
 
+    @property
+    def problem(self) -> str:
+        """Why nothing can be passed on; empty when it can."""
+        return self.states.problem + self._found
+
+    @property
+    def idle(self) -> str:
+        """Why torques do not reach the arm, and KUKA's controller brakes it; empty if they do."""
+        return self._deactivated or self.states.idle
+
     def listen(self, inbox: Inbox, take: Callable[[JointState], None], qos: Qos = NEWEST) -> None:
         """Read the driver's states from an inbox, requested with `qos`; `take` gets them."""
 
         def on_state(message: Any) -> None:
-            state = self.read(message, self._node.get_clock().now().nanoseconds)
+            self._found = ""
+            state = self.states.read(message, self._node.get_clock().now().nanoseconds)
             if state is not None:
+                self._deactivated = ""
                 take(state)
 
+        def on_description(message: String) -> None:
+            self.states.describe(message.data, hasattr(LBRState(), "commanded_joint_position"))
+
         inbox.add(self._source, on_state, qos)
-
-    def read(self, message: Any, now_ns: int) -> JointState | None:
-        """The joint state in a message, which arrived at `now_ns` of this machine's clock; None for one that repeats.
-
-        Raises `InputError` if positions are not finite; the observer decides about torques.
-        """
-        self.problem = self._find_problem(message)
-        q = np.array(message.measured_joint_position, float)
-        torque = self._sign * np.array(message.measured_torque, float)
-        if not math.isfinite(sum(q.tolist())):
-            raise InputError(f"{self._source.name}: measured_joint_position = {q.tolist()}; expected finite values")
-        robot_ns = message.time_stamp_sec * NANOSECONDS + message.time_stamp_nano_sec
-        elapsed = (robot_ns - self._robot_ns) / NANOSECONDS
-        if robot_ns == self._robot_ns:
-            return None
-        if self._q is not None and 0.0 < elapsed <= _PAUSE_S:
-            share = -math.expm1(-2.0 * math.pi * self._settings.velocity_cutoff * elapsed)
-            self._v = self._v + (share or 1.0) * ((q - self._q) / elapsed - self._v)
-        elif elapsed:
-            self._v = np.zeros(self._arm.n)
-        self._q, self._robot_ns = q, robot_ns
-        return JointState(robot_ns + self._clock_ahead(now_ns - robot_ns, elapsed), q, self._v, torque)
-
-    def _clock_ahead(self, now_ahead_ns: int, elapsed: float) -> int:
-        """How far this machine's clock is ahead of the robot's: as little as any message has shown, but for the drift.
-
-        So the stamps have the robot's steps, not those with which messages arrive.
-        """
-        if self._is_simulated:
-            return 0
-        if abs(now_ahead_ns - self._ahead_ns) > _CLOCK_SET_NS:
-            self._ahead_ns = now_ahead_ns
-        self._ahead_ns = min(self._ahead_ns + round(_DRIFT * max(elapsed, 0.0) * NANOSECONDS), now_ahead_ns)
-        return self._ahead_ns
-
-    def _find_problem(self, message: Any) -> str:
-        session, quality, mode = message.session_state, message.connection_quality, message.client_command_mode
-        self.idle = "" if session == len(SESSION) - 1 else f"the FRI session is {_name(SESSION, session)}"
-        if self.idle:
-            return f"{self.idle}; expected {SESSION[-1]}: start LBRServer"
-        if quality < _GOOD:
-            return f"the FRI connection is {_name(QUALITY, quality)}; expected at least GOOD"
-        if mode != COMMAND_MODE.index("TORQUE"):
-            return (
-                f"FRI takes {_name(COMMAND_MODE, mode)}; expected TORQUE: choose it on the smartPAD and in lbr_bringup"
-            )
-        if abs(message.sample_time - self._period) > _RATE_TOLERANCE * self._period:
-            return (
-                f"FRI sends every {1000 * message.sample_time:g} ms, but state_rate is {1 / self._period:g} Hz: start "
-                "all nodes with the rate of FRI, and the controller manager with at least that update_rate"
-            )
-        return ""
+        inbox.add(self._description, on_description, largest=_LARGEST_DESCRIPTION)
 
     def look(self) -> None:
-        """There is nothing to ask for."""
+        """Look for a driver elsewhere, while there is no state, and log doubts; to be called a few times a second."""
+        if self.states.idle and not self.states.has_states:
+            self._found = self._find_elsewhere()
+        if self.states.doubt != self._doubt:
+            self._doubt = self.states.doubt
+            if self._doubt:
+                self._node.get_logger().warning(self._doubt)
+
+    def prepare(self) -> bool:
+        """Measure KUKA's stiffness, now that commands come; returns whether that needs harmless torques."""
+        return self.states.expect_commands()
 
     def ask_idle(self) -> None:
         """Do nothing: the driver's states tell it."""
 
     def hear(self, node: str, settings: Mapping[str, Any]) -> str:
         """Why a node's settings do not fit the drive; empty if they do."""
+        cutoff = settings.get(_CUTOFF, 0.0)
+        if node == _OBSERVER and cutoff:
+            return f"{_CUTOFF} = {cutoff:g} in the observer; expected 0: the adapter undoes the driver's filter"
         return ""
 
     def write(self, torque: Array) -> bytes:
-        """The message with these torques (n,), N m, and the measured positions; not while there is a `problem`."""
-        self._command.joint_position[:] = self._q
+        """The message with these torques (n,), N m, and the positions that go with them; not before the first state."""
+        self._command.joint_position[:] = self.states.position_for(torque)
         self._command.torque[:] = torque
         return encode(self._command)
 
@@ -193,17 +157,23 @@ class LbrTarget:
         """Do nothing: the driver has to be started again, with the application on the smartPAD."""
 
     def diagnosis(self) -> dict[str, Any]:
-        """There is nothing to report."""
-        return {}
+        """The driver's generation, and what is doubtful."""
+        driver = self.states.driver
+        return {"driver": "unknown" if driver is None else driver.generation, "doubt": self.states.doubt or "none"}
+
+    def _find_elsewhere(self) -> str:
+        """Where else states of a driver are published, in words; or that those here are of another type."""
+        kind, own = self._source.type_name, self._node.resolve_topic_name(self._source.name)
+        names = [name for name, kinds in self._node.get_topic_names_and_types() if kind in kinds]
+        if own in names and self._node.count_publishers(own):
+            return f"; {own} is published, but nothing arrives: was lbr_fri_idl built for the driver's version of FRI?"
+        others = [name for name in names if name != own and self._node.count_publishers(name)]
+        return f"; there is {', '.join(others)}: set lbr.driver to what comes before /state" if others else ""
 
     def _on_switched(self, future: Any) -> None:
         logger, name = self._node.get_logger(), self._settings.component
         if future.result() is not None and future.result().ok:
-            self.idle = f"{name} is inactive"
+            self._deactivated = f"{name} is inactive"
             logger.info(f"deactivated {name}: start lbr_bringup again to continue")
         else:
             logger.error(f"the controller manager did not deactivate {name}; see its log")
-
-
-def _name(names: tuple[str, ...], index: int) -> str:
-    return names[index] if 0 <= index < len(names) else f"state {index}"

@@ -13,6 +13,8 @@ EFFORT, LBR, FRANKA = KINDS = ("effort", "lbr", "franka")
 
 FRANKA_TORQUE_RATE = 1000.0
 """Nm/s that libfranka lets through of each joint's torque."""
+FRANKA_STATES = "franka/joint_states"
+"""Topic of Franka's joint states at full rate; those on joint_states come 30 times a second."""
 
 
 @dataclass(frozen=True)

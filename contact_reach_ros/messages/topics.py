@@ -54,6 +54,8 @@ class Topic(NamedTuple):
     qos: Qos = STREAM
     called: str = ""
     """What its messages are called where they are refused; see `contents`."""
+    from_anybody: bool = False
+    """Whether publishers that keep no messages are heard, too, where late subscribers receive kept ones."""
 
     @property
     def contents(self) -> str:
@@ -75,7 +77,7 @@ GOAL_POSE = Topic("goal_pose", PoseStamped, called="goals")
 GOAL_STATE = Topic("goal/state", DiagnosticStatus, LATCHED_EVENTS, called="goal states")
 REFERENCE_POSE = Topic("reference/pose", MultiDOFJointTrajectory, called="references")
 REFERENCE_POSTURE = Topic("reference/posture", JointTrajectory, called="references")
-OBSTACLES = Topic("obstacles", MarkerArray, LATCHED)
+OBSTACLES = Topic("obstacles", MarkerArray, LATCHED, from_anybody=True)
 EXTERNAL_TORQUE = Topic("external_torque", JointState, called="external torques")
 EXTERNAL_WRENCH = Topic("external_wrench", WrenchStamped)
 SAFETY_STATE = Topic("safety_state", DiagnosticStatus, LATCHED_EVENTS, called="safety states")
@@ -95,12 +97,17 @@ LOCKSTEP_HORIZON = Topic("lockstep/horizon", Header, KEPT_STREAM, called="promis
 ALL = tuple(value for value in list(vars().values()) if isinstance(value, Topic))
 """What a recorder writes."""
 
+OF_OTHERS = ("/rosout", "/tf", "/tf_static", "tf", "tf_static", "lbr/state")
+"""What it writes besides, of whatever type; transforms may be published in the namespace of the stack or outside."""
+
 
 def find(name: str) -> Topic | None:
     """The topic of a full name, in whatever namespace; None if it is none of these."""
     return next((topic for topic in ALL if name.endswith(f"/{topic.name}")), None)
 
 
+ALL_IS_WELL = "ok"
+"""Summary of a node in its diagnostics."""
 WAITING_FOR_STATE = "waiting for the first joint state"
 """Message of the planner's diagnostics before the first joint state."""
 WAITING_FOR_OBSTACLES = "waiting for the first obstacles"

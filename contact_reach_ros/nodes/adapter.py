@@ -200,6 +200,8 @@ class AdapterNode(StoppableNode):
 
     def _on_command(self, data: bytes) -> None:
         if problem := self._problem():
+            if problem == self._target.problem and self._target.prepare():
+                self._guard.hold()
             raise InputError(f"{problem}: nothing is passed on")
         torque = self._guard.command(read_command(data), self.now_ns)
         if torque is not None:

@@ -13,10 +13,8 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import String
 
 from contact_reach_ros.arm import Array, JointState
-from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.errors import InputError, StopCode, StopReason, requested
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_stop_state, to_time
@@ -65,7 +63,6 @@ class DriverNode(ManagedNode):
         self._obstacles = self.make_publisher(topics.OBSTACLES)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
         self._published_safety: tuple[str, str] | None = None
-        self._description = self.make_publisher(topics.ROBOT_DESCRIPTION)
         self._clock_publisher = self.make_publisher(topics.CLOCK) if self.lockstep else None
         self.offer("~/reset", self._answer_reset)
         self.offer("~/stop", self._answer_stop)
@@ -100,7 +97,6 @@ class DriverNode(ManagedNode):
 
     def activate(self) -> None:
         """Start ticking."""
-        self._description.publish(String(data=build_urdf(self.arm)))
         start_ns = _LOCKSTEP_START_NS if self.lockstep else time.time_ns()
         self.robot.start_ns += start_ns - self.robot.now_ns
         self.pace.start(time.monotonic_ns())
@@ -143,11 +139,14 @@ class DriverNode(ManagedNode):
     def _lockstep_tick(self) -> None:
         if self.robot.plant.steps == 0:
             self._lockstep.begin()
+        if self._waits_for_goal and self.robot.is_open:
+            # All are done with the state before: whenever the goal comes, the first plan is from the next one.
+            self._publish_safety()
+            self._lockstep.stand_still(lambda: self._waits_for_goal)
         self._publish(self.robot.read(), self.robot.shows_obstacles())
         self._lockstep.wait(self.robot.now_ns)
         # Commands that came before the last promise, but after they were looked for.
         self.inbox.poll()
-        self._lockstep.stand_still(lambda: self._waits_for_goal and self.robot.is_open)
         self._tick(self.robot.now_ns)
 
     def _on_goal_state(self, _: DiagnosticStatus) -> None:

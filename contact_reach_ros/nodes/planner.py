@@ -16,8 +16,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
+from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
+from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ControllerSettings
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError, SettingsError
 from contact_reach_ros.messages import topics
@@ -114,8 +116,15 @@ class PlannerNode(ManagedNode):
         return SetParametersResult(successful=True)
 
     def activate(self) -> None:
-        """Wait for a goal."""
+        """Wait for a goal, and refuse those that have come before: the inbox has them before any joint state."""
         self._withdraw("the planner was activated")
+        self._planner.state = None
+        self.describe_robot()
+
+    def describe_robot(self) -> None:
+        """Publish the robot's description unless somebody else does, as the drivers of real robots may."""
+        if not self.count_publishers(self.resolve_topic_name(topics.ROBOT_DESCRIPTION.name)):
+            self.make_publisher(topics.ROBOT_DESCRIPTION).publish(String(data=build_urdf(self.arm)))
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
         """Goals, solve times, obstacles, and what the planner waits for; `plan/statistics` has the plans."""
@@ -143,15 +152,16 @@ class PlannerNode(ManagedNode):
         self.inbox.wait(_POLL_NS)
 
     def _on_state(self, data: bytes) -> None:
-        request = self._planner.request(self._reader.read(data))
+        had_goal, request = self._planner.has_goal, self._planner.request(self._reader.read(data))
         if request is not None:
             try:
                 self._make_plan(request)
             except ContactReachError as error:
                 self.refuse("plans", error)
-                if not self._planner.has_goal:
-                    self.get_logger().warning(f"goal refused: {error}")
-                    self._output.withdraw()
+        state = self._planner.goal_state
+        if had_goal and not self._planner.has_goal and state is not None:
+            self.get_logger().warning(f"goal {state.phase.value}: {state.reason}")
+            self._output.withdraw()
         self._output.follow_goal(self._planner, self._goal_ns)
 
     def _make_plan(self, request: Request) -> None:
@@ -190,6 +200,9 @@ class PlannerNode(ManagedNode):
     def _on_goal(self, message: PoseStamped) -> None:
         stamp_ns, before = nanoseconds(message.header.stamp), self._planner.goal_state
         try:
+            self._planner.start_of(stamp_ns)
+            if self.rivals:
+                raise InputError(f"{self.rivals}: no goal is taken; end the others")
             if self._frames.is_foreign(message.header):
                 return self._frames.publish_goal(message)
             pose, kept = message.pose, self.settings[""].goal_orientation
@@ -199,7 +212,7 @@ class PlannerNode(ManagedNode):
             for name, why in self._stops.items():
                 # The arm would move as soon as it is reset.
                 raise InputError(f"goal: {name} has stopped the arm ({why}); first: contact-reach reset")
-            self._planner.command(goal)
+            self._planner.command(goal, stamp_ns)
         except InputError as error:
             self._output.report_goal(GoalState(GoalPhase.REFUSED, str(error)), stamp_ns)
             raise
@@ -208,10 +221,6 @@ class PlannerNode(ManagedNode):
             self._output.report_goal(replaced, self._goal_ns)
         self._goal_ns = stamp_ns
         self._output.follow_goal(self._planner, self._goal_ns)
-        if self.rivals:
-            why = f"{self.rivals}: no goal is taken; end the others"
-            self._withdraw(why)
-            raise InputError(why)
         self._goals += 1
         self.get_logger().info(f"goal {self._goals}: {np.round(np.asarray(goal.position), 3).tolist()} m")
 

@@ -15,8 +15,10 @@ import yaml
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import get_rmw_implementation_identifier
 
+from contact_reach_ros.bags.message_types import message_class
 from contact_reach_ros.bags.settings import MEGA, RECORDER_SECTIONS, RecorderSettings, shortage_in
 from contact_reach_ros.bags.topics import LOST, RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
@@ -206,8 +208,12 @@ class TopicRecorder:
         self._node = node
         # Waking up for every message costs ten times as much as taking those gathered in 20 ms.
         self._group = LoopGroup()
-        self._topics = {node.resolve_topic_name(topic.name): topic for topic in topics.ALL}
-        self._states = node.resolve_topic_name(topics.JOINT_STATES.name)
+        self._topics: dict[str, Topic | None] = {
+            **dict.fromkeys(map(node.resolve_topic_name, topics.OF_OTHERS)),
+            **{node.resolve_topic_name(topic.name): topic for topic in topics.ALL},
+        }
+        """By full name; None until the first publisher tells the type."""
+        self._states = self._name_in_bag(topics.JOINT_STATES)
         self._publisher_counts = dict.fromkeys(self._topics, 0)
         self._recorded: dict[str, _Recorded] = {}
 
@@ -218,12 +224,15 @@ class TopicRecorder:
 
     def discover(self) -> None:
         """Subscribe to the topics that have got publishers since the last call; raises `BagError` if writing fails."""
-        for name, topic in self._topics.items():
+        for name, known in self._topics.items():
             # Counting is cheap; the publishers' offers are looked up only when their number has changed.
             if self._node.count_publishers(name) == self._publisher_counts[name]:
                 continue
             publishers = self._node.get_publishers_info_by_topic(name)
             self._publisher_counts[name] = len(publishers)
+            topic = self._topics[name] = known or self._of_others(name, publishers)
+            if topic is None:
+                continue
             offered = [publisher.qos_profile for publisher in publishers if publisher.topic_type == topic.type_name]
             if len(offered) < len(publishers):
                 self._node.get_logger().error(f"not recorded: what is published on '{name}' is no {topic.type_name}")
@@ -266,6 +275,18 @@ class TopicRecorder:
         for recorded in self._recorded.values():
             self._node.destroy_subscription(recorded.subscription)
 
+    def _of_others(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> Topic | None:
+        """A topic of the type of its first publisher; None, with a line in the log, if that is not installed."""
+        if not publishers:
+            return None
+        kind = message_class(publishers[0].topic_type)
+        if kind is None:
+            what = f"'{name}', as {publishers[0].topic_type} is not installed"
+            self._node.get_logger().error(f"not recorded: {what}; source the workspace that has it")
+            return None
+        latched = all(one.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in publishers)
+        return Topic(name, kind, topics.ALL_EVENTS if latched else topics.STREAM)
+
     def _note_losses(self) -> None:
         known = all(recorded.loss.known for recorded in self._recorded.values())
         self.writer.set_custom_data(LOST, str(self.lost) if known else "unknown")
@@ -284,7 +305,8 @@ class TopicRecorder:
         latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
         qos = Qos(HISTORY_DEPTH, least.reliable and reliable, least.latched and latched)
         if before is None:
-            self.writer.add_topic(RecordedTopic(name, topic.type_name, topic.qos.depth, topic.qos.latched))
+            kept = RecordedTopic(self._name_in_bag(topic), topic.type_name, topic.qos.depth, topic.qos.latched)
+            self.writer.add_topic(kept)
         elif qos == before.qos:
             return
         else:
@@ -294,7 +316,12 @@ class TopicRecorder:
             topic.type, name, lambda _: None, qos_profile(qos), callback_group=self._group, raw=True
         )
         loss = LossCounter() if before is None else before.loss
-        self._recorded[name] = _Recorded(name, topic.type, qos, subscription, loss)
+        self._recorded[name] = _Recorded(self._name_in_bag(topic), topic.type, qos, subscription, loss)
+
+    def _name_in_bag(self, topic: Topic) -> str:
+        """The stack's own name of a topic, whatever it is remapped to, so that whoever reads the bag finds it."""
+        own: str = self._node.resolve_topic_name(topic.name, only_expand=True)
+        return own
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import signal
 import sys
 import threading
@@ -14,6 +13,7 @@ from pathlib import Path
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from contact_reach_ros.bags.message_types import message_class
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.topics import CDR, RecordedTopic
 from contact_reach_ros.errors import ContactReachError, InputError
@@ -197,15 +197,6 @@ def publisher_qos(topic: RecordedTopic) -> topics.Qos:
     known = topics.find(topic.name)
     usual = known.qos if known is not None else topics.LATCHED if topic.latched else topics.STREAM
     return usual._replace(latched=topic.latched)
-
-
-def message_class(type_name: str) -> type | None:
-    """Return the class of a message type, such as sensor_msgs/msg/JointState; None if it is not installed."""
-    package, _, name = type_name.partition("/msg/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), name, None)
-    except (ImportError, TypeError, ValueError):
-        return None
 
 
 if __name__ == "__main__":

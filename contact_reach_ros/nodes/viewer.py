@@ -28,8 +28,8 @@ from contact_reach_ros.ros.client import NOTHING, Client
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.interfaces import VIEWER
 from contact_reach_ros.ros.managed_node import ManagedNode
-from contact_reach_ros.ros.process import run
-from contact_reach_ros.settings import DEFAULT_PARAMETERS, as_arguments, namespace_arguments
+from contact_reach_ros.ros.process import in_namespace, run
+from contact_reach_ros.settings import DEFAULT_PARAMETERS, as_arguments
 from contact_reach_ros.viewer.access import call, serve
 from contact_reach_ros.viewer.frame import safety_status
 from contact_reach_ros.viewer.live import LiveState
@@ -159,8 +159,7 @@ def view(chosen: Mapping[str, Any], parameters: Path | None, namespace: str = ""
     """
     file = parameters or config_file(DEFAULT_PARAMETERS)
     texts = {name: value if isinstance(value, int) else str(value) for name, value in chosen.items()}
-    space = namespace_arguments(f"/{namespace.strip('/')}", file, VIEWER)
-    arguments = [VIEWER, "--ros-args", "--params-file", str(file), *space, *as_arguments(texts)]
+    arguments = [VIEWER, "--ros-args", "--params-file", str(file), *in_namespace(namespace), *as_arguments(texts)]
     return run(ViewerNode, arguments)
 
 

@@ -57,7 +57,8 @@ class RateCheck:
             return ""
         return (
             f"joint states come at {self.frequency:.0f} Hz, expected {NANOSECONDS / self._period_ns:.0f} Hz: set the "
-            "parameter state_rate of all nodes to the driver's"
+            "parameter state_rate of all nodes to the driver's, or remap joint_states to a topic that has them all, as "
+            "franka/joint_states of franka_ros2"
         )
 
 

@@ -100,11 +100,11 @@ class Planner:
     Attributes
     ----------
     goal
-        Target of the goal in force; None while there is none.
+        Target of the goal in force; None while there is none, and always before the first joint state.
     plan
         The last plan; None before the first and after the goal was withdrawn.
     state
-        The last joint state; None before the first.
+        The last joint state, which goals start from; None before the first.
     settings
         When to plan.
     obstacles
@@ -136,8 +136,8 @@ class Planner:
         settings, unexpected_contact
             When to plan, and how to react to contact that no known obstacle explains.
         refuse
-            Called for a goal that waited for a joint state and proved unreachable, and for plans that are due while it
-            is not known where the obstacles are, whose errors are raised by default.
+            Called for plans that are due while it is not known where the obstacles are; that error is raised by
+            default.
         task
             What law (1) controls, see `ImpedanceSettings`, by default what the arm can hold; only so much of the
             orientation of goals counts.
@@ -161,35 +161,59 @@ class Planner:
         self.settings = settings
         self._took_ns = deque([settings.latency_ns], _RECENT)
         self._refuse = refuse
-        self._pending: Task | None = None
         self._progress: GoalProgress | None = None
         self._failures = 0
         """Number of plans for the goal that were not found."""
         self.obstacles = KnownObstacles(settings.max_obstacle_age, settings.require_obstacles)
 
-    def command(self, goal: Task) -> None:
-        """Take a goal. Before the first joint state it waits: the orientation may depend on the arm's pose.
+    def command(self, goal: Task, sent_ns: int = 0) -> None:
+        """Take a goal that was sent at `sent_ns`, as `start_of` has it.
 
         Raises
         ------
         InputError
-            If the goal cannot be reached, see `Task.resolve` and `check_goal`, or the obstacles are unknown; the
-            previous one stays.
+            If it is too old, there is no joint state yet, the goal cannot be reached, see `Task.resolve` and
+            `check_goal`, or the obstacles are unknown; the previous one stays.
         """
-        if self.state is not None:
-            target = self.resolve(goal, self.state)
-            problem = self.obstacles.problem(self.state.stamp_ns)
-            if problem:
-                raise InputError(problem)
-            self._pursue(target)
-        else:
-            self._pending = goal
+        state = self.start_of(sent_ns)
+        target = self.resolve(goal, state)
+        problem = self.obstacles.problem(state.stamp_ns)
+        if problem:
+            raise InputError(problem)
+        self.goal = target
+        self._failures = 0
+        self._unexpected_ns = None
         self._progress = GoalProgress(goal)
+
+    def start_of(self, sent_ns: int = 0) -> JointState:
+        """The joint state that a goal starts from: goals never wait for one, as the arm would move unexpectedly.
+
+        `sent_ns` is on the clock of the joint states, ns; 0 stands for now, and so do times from the future, as another
+        clock may give.
+
+        Raises
+        ------
+        InputError
+            If there is no joint state yet, or the goal is older than `goal_timeout`.
+        """
+        if self.state is None:
+            raise InputError(
+                "goal: there is no joint state yet; expected one, from which the arm starts: start the driver, wait "
+                "until the planner reports 'waiting for a goal', and send the goal again"
+            )
+        age = (self.state.stamp_ns - sent_ns) / NANOSECONDS
+        if sent_ns and age > self.settings.goal_timeout:
+            raise InputError(
+                f"goal: its stamp is {age:.3f} s older than the last joint state; expected goal_timeout, "
+                f"{self.settings.goal_timeout:g} s, at most: send it again with the present time, or with the stamp 0 "
+                "for now; if it is new, let its sender's clock agree with the joint states'"
+            )
+        return self.state
 
     @property
     def has_goal(self) -> bool:
-        """Whether a goal is in force, or waits for the first joint state."""
-        return self.goal is not None or self._pending is not None
+        """Whether a goal is in force."""
+        return self.goal is not None
 
     @property
     def goal_state(self) -> GoalState | None:
@@ -203,8 +227,7 @@ class Planner:
         """
         if self._progress is not None:
             self._progress.end(phase, reason)
-        self.goal = self._pending = None
-        self.plan = None
+        self.goal = self.plan = None
         if self.core is not None:
             self.core.reset()
 
@@ -238,6 +261,8 @@ class Planner:
     def request(self, state: JointState) -> Request | None:
         """Take a joint state; returns what to plan from it, None while no plan is due.
 
+        After a gap of more than `goal_timeout` in the states the goal is withdrawn: nobody expects the arm to go on.
+
         Raises
         ------
         InputError
@@ -246,22 +271,20 @@ class Planner:
         stamp_ns, q, v, _ = state
         if not np.isfinite(q.sum() + v.sum()):
             raise InputError(f"joint_states: position and velocity must be finite, got {q.tolist()}, {v.tolist()}")
+        gap = 0.0 if self.state is None else (stamp_ns - self.state.stamp_ns) / NANOSECONDS
         self.state = state
         self.obstacles.advance(stamp_ns)
-        if self._pending is not None:
-            pending, self._pending = self._pending, None
-            try:
-                self._pursue(self.resolve(pending, state))
-            except InputError as error:
-                self.withdraw(str(error), GoalPhase.REFUSED)
-                self._report("goals", error)
+        if self.goal is not None and gap > self.settings.goal_timeout:
+            self.withdraw(f"no joint state came for {gap:.1f} s, more than goal_timeout; send the goal again")
         self._follow_progress(state)
         if self.goal is None or stamp_ns < self.due_ns:
             return None
         self.due_ns = stamp_ns + self.settings.period_ns
         problem = self.obstacles.problem(stamp_ns)
         if problem:
-            self._report("plans", InputError(problem))
+            if self._refuse is None:
+                raise InputError(problem)
+            self._refuse("plans", InputError(problem))
             return None
         effect_ns = stamp_ns + self._latency_ns
         return Request(q, v, stamp_ns, effect_ns, self.goal, self.obstacles.spheres, self.speed_scale)
@@ -327,13 +350,3 @@ class Planner:
         target = goal.resolve(self._arm, self._model.tip_pose(state.q)[1]).of_task(self._task)
         check_goal(self._arm, target, self.obstacles.spheres.environment, state.q)
         return target
-
-    def _report(self, what: str, error: InputError) -> None:
-        if self._refuse is None:
-            raise error
-        self._refuse(what, error)
-
-    def _pursue(self, goal: Target) -> None:
-        self.goal = goal
-        self._failures = 0
-        self._unexpected_ns = None

@@ -14,6 +14,7 @@ from rclpy.client import Client as ServiceClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
 from contact_reach_ros.arm import Array
@@ -27,8 +28,9 @@ from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
+from contact_reach_ros.ros.graph import goal_topic
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
-from contact_reach_ros.ros.interfaces import OBSERVER, OPERATOR, STOPPABLE
+from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, OPERATOR, STOPPABLE
 from contact_reach_ros.ros.process import bare_node, in_namespace
 
 PLANNER, CONTROLLER = "planner", "controller"
@@ -43,6 +45,10 @@ _SETTLED_S = 1.0
 """Time in which the rest of a node's last safety states follows the first, and other nodes are discovered."""
 _FOLLOWED_S = 8.0
 """Longest time until diagnostics, which come once a second, show that the controller follows a goal's plans."""
+_COMPILED_S = 120.0
+"""For a planner that has just been started, which compiles, and for the nodes that bring-up starts then."""
+_CHECKED_S = 20.0
+"""For an adapter that checks its drive first, also where simulated time is slow."""
 _SILENCE_S = 5.0
 _REST_S = 5.0
 """Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
@@ -189,8 +195,7 @@ class StackClient(Client):
         self.settings: dict[str, dict[str, Any]] = {}
         self.goal_state: GoalState | None = None
         self._goal_ns = 0
-        topic = topics.GOAL_POSE
-        self._goals = node.create_publisher(topic.type, topic.name, qos_profile(topic.qos))
+        self._goals = self._goal_publisher(topics.GOAL_POSE.name)
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self.inbox.add(topics.DIAGNOSTICS, self._on_diagnostics)
         self.inbox.add(topics.GOAL_STATE, self._on_goal_state, topics.ALL_EVENTS)
@@ -201,15 +206,28 @@ class StackClient(Client):
         found = self.node.get_subscriptions_info_by_topic(self.node.resolve_topic_name(topic.name))
         return any(endpoint.node_name == name for endpoint in found)
 
+    def reaches_planner(self) -> bool:
+        """Whether the planner takes the goals that this sends, also where the stack has another name for the topic."""
+        name = goal_topic(self.node, PLANNER)
+        if name not in ("", self._goals.topic_name):
+            self.node.destroy_publisher(self._goals)
+            self._goals = self._goal_publisher(name)
+        return bool(name)
+
+    def _goal_publisher(self, name: str) -> Publisher:
+        topic = topics.GOAL_POSE
+        return self.node.create_publisher(topic.type, name, qos_profile(topic.qos))
+
     def missing(self) -> list[str]:
         """What is not heard yet that goals need, by topic."""
-        summary = self.summaries.get(PLANNER, "")
+        summary, adapter = self.summaries.get(PLANNER, ""), self.summaries.get(ADAPTER, topics.ALL_IS_WELL)
+        why = summary if adapter == topics.ALL_IS_WELL else f"{summary}, and the {ADAPTER} says: {adapter}"
         heard = {
             f"{topics.DIAGNOSTICS.name} of the {PLANNER}": PLANNER in self.diagnostics,
             f"{topics.SETTINGS.name} of the {PLANNER}": PLANNER in self.settings,
-            f"{topics.GOAL_POSE.name} by the {PLANNER}": self.hears(PLANNER, topics.GOAL_POSE),
+            f"{topics.GOAL_POSE.name} by the {PLANNER}": self.reaches_planner(),
             f"{topics.DIAGNOSTICS.name} of the {CONTROLLER}": CONTROLLER in self.diagnostics,
-            f"{topics.REFERENCE_POSE.name}, as the {PLANNER} is {summary}": summary not in _NOT_READY,
+            f"{topics.REFERENCE_POSE.name}, as the {PLANNER} is {why}": summary not in _NOT_READY,
         }
         return [what for what, is_heard in heard.items() if not is_heard]
 
@@ -225,6 +243,17 @@ class StackClient(Client):
                 "'contact-reach up', set ROS_DOMAIN_ID, --namespace and --discovery to those of one that is running, "
                 "or run contact-reach doctor"
             )
+
+    def wait_until_ready(self) -> None:
+        """Wait until goals are taken, also where the planner still compiles, before all others start.
+
+        Raises as `wait_for`.
+        """
+        patience = _FOUND_S
+        if self.until(self.reaches_planner, _FOUND_S) and not self.until(lambda: PLANNER in self.settings, _FOUND_S):
+            self.node.get_logger().info(f"waiting for the {PLANNER} to get ready, {_COMPILED_S:g} s at most")
+            patience = _COMPILED_S
+        self.wait_for(self.missing, patience)
 
     def hear_stops(self) -> None:
         """Wait until the safety states of the controller and of all who publish one are known.
@@ -271,6 +300,8 @@ class StackClient(Client):
         self.hear_stops()
         if self.stops:
             return Outcome(False, f"not sent, the arm is stopped: {self.why_stopped}; first: contact-reach reset")
+        if not self.until(lambda: self.summaries.get(ADAPTER, topics.ALL_IS_WELL) == topics.ALL_IS_WELL, _CHECKED_S):
+            return Outcome(False, f"not sent, the adapter passes no command on: {self.summaries[ADAPTER]}")
         before = self._plans_accepted()
         self.send_goal(position, rotation)
 
@@ -348,12 +379,13 @@ class StackClient(Client):
 def connect(discovery: str = "host", namespace: str = "") -> Iterator[StackClient]:
     """A client of the stack that is found within `discovery`, in a namespace.
 
-    Raises `ContactReachError` if no node reports a safety state.
+    Raises `ContactReachError` if there is no planner, and no node that reports a safety state.
     """
     with bare_node(OPERATOR, discovery, [OPERATOR, *in_namespace(namespace)]) as node:
         client, name = StackClient(node), topics.SAFETY_STATE.name
         try:
-            client.wait_for(lambda: [] if node.count_publishers(name) else [f"{name} of any node"])
+            is_there = lambda: node.count_publishers(name) or client.reaches_planner()  # noqa: E731
+            client.wait_for(lambda: [] if is_there() else [f"{name} of any node"])
             yield client
         finally:
             client.close()

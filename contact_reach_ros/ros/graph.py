@@ -9,9 +9,14 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from copy import copy
 
-from rclpy.node import Node
+from rclpy.duration import Infinite
+from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from contact_reach_ros.errors import InputError
@@ -55,6 +60,15 @@ def _names(endpoints: Sequence[TopicEndpointInfo]) -> set[str]:
     return {node_of(info) for info in endpoints if info.node_name != _UNKNOWN_NODE}
 
 
+def goal_topic(node: Node, planner: str) -> str:
+    """Full name of the topic from which the planner of this name takes goals; empty until it is discovered."""
+    try:
+        heard = node.get_subscriber_names_and_types_by_node(planner, node.get_namespace())
+    except NodeNameNonExistentError:
+        return ""
+    return next((name for name, types in heard if topics.GOAL_POSE.type_name in types), "")
+
+
 def rivalry(node: Node, exclusive: Iterable[Topic]) -> str:
     """Name these topics that have more publishers than they may, and the publishers; empty if none has.
 
@@ -79,6 +93,38 @@ def rivalry(node: Node, exclusive: Iterable[Topic]) -> str:
             expected = alone if is_alone else f"one each of {', '.join(owners)}"
             reasons.append(f"{len(names)} publishers on {resolved} ({', '.join(names)}), expected {expected}")
     return "; ".join(reasons)
+
+
+def mismatches(node: Node, heard: Iterable[Subscription], counts: dict[tuple[str, str], int]) -> Iterator[str]:
+    """Yield a line for each endpoint that the quality of service keeps from the node's publishers or the subscriptions.
+
+    `counts` holds the numbers of endpoints at the last look, and is updated: it looks again where they have changed.
+    """
+    requested: dict[str, list[QoSProfile]] = {}
+    for each in heard:
+        requested.setdefault(each.topic_name, []).append(each.qos_profile)
+    offered = {publisher.topic_name: [_offer(publisher)] for publisher in node.publishers}
+    for profiles, count, look, what, remedy in (
+        (requested, node.count_publishers, node.get_publishers_info_by_topic, "hears nothing from", "offer"),
+        (offered, node.count_subscribers, node.get_subscriptions_info_by_topic, "is not heard by", "request at most"),
+    ):
+        for name, own in profiles.items():
+            before, counts[name, what] = counts.get((name, what)), count(name)
+            for other in look(name) if counts[name, what] != before else ():
+                order = 1 if profiles is requested else -1
+                found = [qos_check_compatible(*(other.qos_profile, mine)[::order]) for mine in own]
+                # Several subscriptions to a topic complement each other.
+                if all(compatible == QoSCompatibility.ERROR for compatible, _ in found):
+                    words = f"{own[0].reliability.name}, {own[0].durability.name}".lower().replace("_", " ")
+                    why = found[0][1].strip().rstrip(";")
+                    yield f"{name}: this node {what} {node_of(other)} ({why}); let that one {remedy} {words}"
+
+
+def _offer(publisher: Publisher) -> QoSProfile:
+    """What a publisher of ours offers, as the graph has it: durations that are not set are infinite."""
+    profile = copy(publisher.qos_profile)
+    profile.deadline = profile.liveliness_lease_duration = Infinite
+    return profile
 
 
 def running(node: Node, planned: Collection[str], own: Collection[str] = ()) -> list[str]:

@@ -95,6 +95,8 @@ class Inbox:
         self._wake = node.create_guard_condition(lambda: None, callback_group=self._group)
         self._wait_sets: dict[int, Any] = {}
         """By the number of subscriptions."""
+        self._last: dict[str, tuple[int, bytes]] = {}
+        """When the last message of a topic from anybody was sent, ns, and its bytes."""
         self._tasks: deque[Callable[[], None]] = deque()
         self._thread = 0
         self.received_ns = 0
@@ -133,13 +135,19 @@ class Inbox:
         largest
             Bytes of a message; larger ones are refused.
         """
-        qos = qos or topic.qos
-        subscription = self._node.create_subscription(
-            topic.type, topic.name, handle, qos_profile(qos), callback_group=self._group, raw=True
-        )
-        code = int(CODES.get(topic.name, 0))
-        listened = _Listened(topic, subscription, serialized, handle, qos.depth == 1, code, ready, largest)
-        (self._subscriptions if hurried else self._unhurried).append(listened)
+        qos, code = qos or topic.qos, int(CODES.get(topic.name, 0))
+        # Who requests kept messages hears no publisher that keeps none.
+        for each in (qos, qos._replace(latched=False)) if topic.from_anybody and qos.latched else (qos,):
+            subscription = self._node.create_subscription(
+                topic.type, topic.name, handle, qos_profile(each), callback_group=self._group, raw=True
+            )
+            listened = _Listened(topic, subscription, serialized, handle, qos.depth == 1, code, ready, largest)
+            (self._subscriptions if hurried else self._unhurried).append(listened)
+
+    @property
+    def subscriptions(self) -> list[Subscription]:
+        """All subscriptions."""
+        return [listened.subscription for listened in (*self._subscriptions, *self._unhurried)]
 
     def wait(self, timeout_ns: int) -> None:
         """Sleep until a message arrives, `wake` is called or the timeout is over; handle what has arrived."""
@@ -243,8 +251,13 @@ class Inbox:
 
     def _handle(self, listened: _Listened, data: bytes, sent_ns: int) -> None:
         """Handle one message; whatever that raises is refused here."""
-        self.sent_ns, self.handled_ns = sent_ns, time.monotonic_ns()
         topic = listened.topic
+        if topic.from_anybody:
+            if self._last.get(topic.name) == (sent_ns, data):
+                # From the other subscription to a publisher that keeps messages.
+                return
+            self._last[topic.name] = sent_ns, data
+        self.sent_ns, self.handled_ns = sent_ns, time.monotonic_ns()
         try:
             if len(data) > listened.largest:
                 raise InputError(

@@ -21,6 +21,7 @@ from contact_reach_ros.errors import ContactReachError, InputError, StopCode, St
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import IntakeLog, Taken
 from contact_reach_ros.messages.topics import (
+    ALL_IS_WELL,
     DIAGNOSTICS,
     KEPT_STREAM,
     LOCKSTEP_HORIZON,
@@ -31,10 +32,10 @@ from contact_reach_ros.messages.topics import (
 )
 from contact_reach_ros.resources import VERSION
 from contact_reach_ros.ros.boundary import TRANSITIONS, Boundary
-from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
+from contact_reach_ros.ros.graph import LOOK_AROUND_S, mismatches, rivalry
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.lockstep import Lockstep
-from contact_reach_ros.ros.parameters import declare, declare_one
+from contact_reach_ros.ros.parameters import declare, declare_one, overrides
 from contact_reach_ros.ros.scheduling import Role
 from contact_reach_ros.settings import AUTOSTART, CPUS, RATE, ROBOT, Sections, full_name
 from contact_reach_ros.timing import NANOSECONDS
@@ -74,7 +75,7 @@ class ManagedNode(LifecycleNode):
     """The command line of the process, which `run` sets."""
 
     def __init__(self) -> None:
-        super().__init__(self.NAME)
+        super().__init__(self.NAME, parameter_overrides=overrides(self.ARGUMENTS, self.NAME))
         self.autostart, self.cpus, robot, rate = (
             declare_one(self, entry.name, entry) for entry in (AUTOSTART, CPUS, ROBOT, RATE)
         )
@@ -98,6 +99,7 @@ class ManagedNode(LifecycleNode):
         self._diagnostics = self.make_publisher(DIAGNOSTICS)
         self._settings_publisher = self.make_publisher(SETTINGS)
         self._stop = threading.Event()
+        self._counts: dict[tuple[str, str], int] = {}
         self._lines: deque[str] = deque()
         self._said = self.create_guard_condition(self.write_out)
         self.every(1.0, self._publish_diagnostics)
@@ -349,13 +351,15 @@ class ManagedNode(LifecycleNode):
 
     def _publish_diagnostics(self) -> None:
         self._log_refusals()
+        for line in mismatches(self, self.inbox.subscriptions, self._counts):
+            self.get_logger().warning(line)
         summary, values = self.diagnosis()
         refused: dict[str, Any] = {f"refused {what}": count for what, count in self.refused.items()}
         refused |= {f"last refusal of {what}": text for what, text in self.boundary.reasons.items()}
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if summary else DiagnosticStatus.OK,
             name=self.get_name(),
-            message=summary or "ok",
+            message=summary or ALL_IS_WELL,
             values=[KeyValue(key=key, value=_text(value)) for key, value in {**values, **refused}.items()],
         )
         message = DiagnosticArray(status=[status])

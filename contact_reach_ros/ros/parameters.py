@@ -16,7 +16,17 @@ from rclpy.utilities import remove_ros_args
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arms import arm_in, known_parameters, make_settings
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.settings import Sections, Setting, check_values, declared_parameters, parameters_in, parse_yaml
+from contact_reach_ros.settings import (
+    NODES,
+    Sections,
+    Setting,
+    check_node_name,
+    check_node_names,
+    check_values,
+    declared_parameters,
+    parameters_in,
+    parse_yaml,
+)
 
 
 def declare(node: Node, sections: Sections, arm: Arm) -> dict[str, Any]:
@@ -66,12 +76,12 @@ def declare_one(node: Node, name: str, entry: Setting) -> Any:
 def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections) -> dict[str, Any]:
     """Check the parameter files and overrides on a command line; returns the node's settings objects by prefix.
 
-    ROS itself ignores an unknown key or argument; here the node does not start.
+    ROS itself ignores an unknown node, key or argument; here the node does not start.
 
     Raises
     ------
     SettingsError
-        Naming file and key, or the argument, and what is accepted.
+        Naming file and section or key, or the argument, and what is accepted.
     """
     foreign = without_ros_arguments(arguments)[1:]
     if foreign:
@@ -82,6 +92,28 @@ def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections
     for source, values in given:
         check_values(values, known_parameters(sections, arm), source)
     return make_settings(merged, sections, arm, where)
+
+
+def given_parameters(arguments: Sequence[str], node_name: str) -> dict[str, Any]:
+    """The parameters of a node on a command line, unchecked; raises `SettingsError` if a file cannot be read."""
+    return _merged(_given(arguments, node_name, ["", node_name]))
+
+
+def overrides(arguments: Sequence[str], node_name: str) -> list[Parameter]:
+    """What a command line gives to a node, which ROS would lose in part: see `settings.parameters_in`."""
+    values = given_parameters(arguments, node_name)
+    # A missing value is the default, and ROS cannot tell the type of an empty list.
+    return [Parameter(name, value=value) for name, value in values.items() if value is not None and value != []]
+
+
+def namespace_in(arguments: Sequence[str]) -> str:
+    """Namespace into which a command line puts a node, as ROS reads it: the first one holds."""
+    for option, rule in itertools.pairwise(arguments):
+        target, _, namespace = rule.partition(":=")
+        owner, _, what = target.rpartition(":")
+        if option in ("-r", "--remap") and what == "__ns" and owner in ("", *NODES):
+            return namespace
+    return "/"
 
 
 def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
@@ -105,13 +137,18 @@ _Given = tuple[str, dict[str, Any]]
 
 
 def _given(arguments: Sequence[str], node_name: str, owners: Collection[str]) -> Iterator[_Given]:
-    """Parameters of a node on a command line by name, with where they are; of overrides those for the owners."""
+    """Parameters of a node on a command line by name, with where they are; of overrides those for the owners.
+
+    Raises `SettingsError` as `parameters_in`, or if something is for a node that there is not.
+    """
     for option, argument in itertools.pairwise(arguments):
         if option == "--params-file":
-            yield f"{argument}: {node_name}", parameters_in(Path(argument), node_name)
+            check_node_names(Path(argument))
+            yield f"{argument}: {node_name}", parameters_in(Path(argument), node_name, namespace_in(arguments))
         elif option in ("-p", "--param"):
             target, _, text = argument.partition(":=")
             owner, _, name = target.rpartition(":")
+            check_node_name(owner or node_name, f"argument {option} {argument}")
             if owner in owners:
                 yield f"argument {option} {argument}", {name: parse_yaml(text)}
 

@@ -17,12 +17,14 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.executables import end_at_signals
+from contact_reach_ros.ros.description import description_file, options_of
 from contact_reach_ros.ros.discovery import environment
 from contact_reach_ros.ros.managed_node import ManagedNode
-from contact_reach_ros.ros.parameters import check_arguments, without_ros_arguments
+from contact_reach_ros.ros.parameters import check_arguments, given_parameters, namespace_in, without_ros_arguments
 from contact_reach_ros.ros.scheduling import choose_cpus, give_way, take_priority, use_cpus
+from contact_reach_ros.settings import ROBOT, as_arguments
 
 _LOOK_S = 0.1
 """Time after which the end of a process is noticed at the latest, s."""
@@ -33,7 +35,8 @@ _AGAIN_S = 1.0
 def run(node_class: type[ManagedNode], arguments: Sequence[str]) -> int:
     """Run one node until a signal that it heeds, or a failure of its loop; returns the exit code of the process.
 
-    SIGINT, SIGTERM and SIGHUP ask it to end, see `ManagedNode.may_end`; a later SIGINT insists.
+    SIGINT, SIGTERM and SIGHUP ask it to end, see `ManagedNode.may_end`; a later SIGINT insists. In whatever namespace
+    it is, it has the sections of its own name, and the clock of that namespace.
 
     Parameters
     ----------
@@ -45,15 +48,20 @@ def run(node_class: type[ManagedNode], arguments: Sequence[str]) -> int:
     sys.setswitchinterval(2e-4)
     node: ManagedNode | None = None
     try:
+        arguments = with_description(arguments, node_class.NAME)
         check_arguments(arguments, node_class.NAME, node_class.SECTIONS)
-        initialise(arguments)
+        # Behind the user's: of the remappings of a name the first one holds.
+        initialise([*arguments, "--ros-args", "-r", "/clock:=clock"])
         node_class.ARGUMENTS = arguments
         node = node_class()
+        if node.get_namespace() != namespace_in(arguments):
+            raise SettingsError(f"ROS put the node into {node.get_namespace()}; expected one -r __ns:=/NAMESPACE")
         return _serve(node)
     except ContactReachError as error:
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
         return 2
     finally:
+        node_class.ARGUMENTS = ()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
@@ -109,6 +117,37 @@ def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = ())
             node.destroy_node()
     finally:
         rclpy.try_shutdown()
+
+
+def described(robot: str, node_name: str, discovery: str = "host", arguments: Sequence[str] = ()) -> str:
+    """The path of the file that holds an arm whose description is published; any other arm as it is.
+
+    Raises `SettingsError` as `description_file`.
+
+    Parameters
+    ----------
+    robot
+        A name or path, as for `load_arm`, or what stands for a description, see `options_of`.
+    node_name
+        Of the node that asks.
+    discovery, arguments
+        As for `bare_node`: in whose namespace, and with which remappings.
+    """
+    if options_of(robot) is None:
+        return robot
+    with bare_node(f"{node_name}_description", discovery, arguments) as node:
+        return description_file(node, robot)
+
+
+def with_description(arguments: Sequence[str], node_name: str) -> list[str]:
+    """The command line of a node, with the path of a file for an arm whose description is published.
+
+    Raises `SettingsError` as `described`.
+    """
+    given = given_parameters(arguments, node_name)
+    robot = str(given.get(ROBOT.name, ""))
+    path = described(robot, node_name, str(given.get("discovery", "host")), arguments)
+    return [*arguments, *(["--ros-args", *as_arguments({ROBOT.name: path})] if path != robot else [])]
 
 
 def _serve(node: ManagedNode) -> int:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import rclpy
 import yaml
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -130,6 +130,7 @@ def test_everything_published_is_in_the_bag(recorder: Recorder) -> None:
     # What a stack that has just ended in this domain offered is still known to the middleware for a while.
     counts = {name: topic.message_count for name, topic in reader.topics.items() if topic.message_count}
     counts.pop("/diagnostics", None)
+    assert any("recording to" in line.msg for line in reader.messages("/rosout")) and counts.pop("/rosout")
     once = dict.fromkeys(("/robot_description", "/goal_pose", "/settings"), 1)
     assert counts == {"/joint_states": 600, "/effort_controller/commands": 600, **once}
     positions = [state.position[0] for state in reader.messages("/joint_states")]
@@ -164,6 +165,42 @@ def test_publisher_that_offers_less_is_heard_as_well(recorder: Recorder) -> None
         recorder.until(lambda: topics.drain() or writer.message_count > 1, "messages")
     read = BagReader(recorder.directory).messages("/joint_states")
     assert {state.name[0] for state in read} == {"reliable", "best effort"}
+
+
+def test_what_others_publish_is_recorded_whatever_its_type(recorder: Recorder, capfd) -> None:
+    frames = recorder.publisher(TransformStamped, "/tf_static", LATCHED, wait=False)
+    frames.publish(TransformStamped(child_frame_id="camera"))
+    moving = recorder.publisher(TransformStamped, "/tf", RELIABLE, wait=False)
+    with BagWriter(recorder.directory) as writer:
+        topics = TopicRecorder(recorder.node, writer)
+        recorder.until(lambda: topics.discover() or moving.get_subscription_count(), "a subscription to /tf")
+        moving.publish(TransformStamped(child_frame_id="tool"))
+        recorder.node.get_logger().info("a line")
+        recorder.until(lambda: topics.drain() or writer.message_count > 2, "messages")
+        topics.stop()
+    reader = BagReader(recorder.directory)
+    assert {name: topic.type for name, topic in reader.topics.items()} == {
+        "/tf": "geometry_msgs/msg/TransformStamped",
+        "/tf_static": "geometry_msgs/msg/TransformStamped",
+        "/rosout": "rcl_interfaces/msg/Log",
+    }
+    assert [reader.topics[name].latched for name in ("/tf", "/tf_static")] == [False, True]
+    assert [frame.child_frame_id for frame in reader.messages("/tf_static")] == ["camera"]
+    assert [frame.child_frame_id for frame in reader.messages("/tf")] == ["tool"]
+    assert [line.msg for line in reader.messages("/rosout")] == ["a line"]
+
+
+def test_a_remapped_topic_keeps_its_name_in_the_bag(recorder: Recorder) -> None:
+    rules = ["--ros-args", "-r", "goal_pose:=reach_goal"]
+    node = rclpy.create_node("recorder", context=recorder.node.context, cli_args=rules)
+    goals = recorder.publisher(PoseStamped, "reach_goal", RELIABLE, wait=False)
+    with BagWriter(recorder.directory) as writer:
+        topics = TopicRecorder(node, writer)
+        recorder.until(lambda: topics.discover() or goals.get_subscription_count(), "a subscription")
+        goals.publish(PoseStamped())
+        recorder.until(lambda: topics.drain() or writer.message_count, "the goal")
+    found = BagReader(recorder.directory).topics
+    assert found["/goal_pose"].message_count == 1 and "/reach_goal" not in found
 
 
 def test_killed_recorder_leaves_what_it_had_flushed(recorder: Recorder) -> None:

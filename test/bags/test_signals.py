@@ -112,6 +112,14 @@ def test_all_times_are_on_the_clock_of_the_robot(signals: EpisodeSignals) -> Non
         np.testing.assert_allclose(series.time, expected, atol=1e-7)
 
 
+def test_behind_an_adapter_the_torques_are_the_controllers(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        for name, torque in (("effort_controller/commands", 2.0), ("adapter/commands", 1.0)):
+            writer.add_topic(RecordedTopic(f"/{name}", TYPES["effort_controller/commands"]))
+            writer.write(f"/{name}", serialize_message(Float64MultiArray(data=[torque] * 7)), RECEIVED_0)
+    assert read_signals(BagReader(tmp_path / "bag"), ARM).command.values.tolist() == [[1.0] * 7]
+
+
 def test_goals_are_where_they_were_sent_without_those_that_were_refused(signals: EpisodeSignals) -> None:
     assert signals.goals.time == pytest.approx([0.05, 0.3], abs=1e-7)
     np.testing.assert_array_equal(signals.goals.values, [[0.5, 0.0, 0.0], [0.7, 0.0, 0.0]])

@@ -94,6 +94,15 @@ def test_joints_that_do_not_match_are_named_beside_the_arms_and_nothing_passes(b
     del keep
 
 
+@asking
+def test_a_controller_in_another_namespace_is_named_with_the_setting(bench):
+    keep = rclpy.create_node("effort_controller", namespace="left", use_global_arguments=False)
+    bench.until(lambda: bench.node._target.look() or "there is" in bench.node.diagnosis()[0], "it is discovered")
+    there = "there is /left/effort_controller: set the parameter effort.controller to it"
+    assert there in bench.node.diagnosis()[0]
+    keep.destroy_node()
+
+
 @simple
 def test_a_controller_that_counts_on_another_gravity_is_refused(bench):
     bench.state()

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+import rclpy
 from arm_simulation import ARM
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from stack_helpers import hand_in, ros
@@ -52,6 +54,36 @@ def test_what_is_missing_is_named_by_topic_until_it_is_heard(client):
         assert missing not in ", ".join(client.missing())
     with pytest.raises(ContactReachError, match=r"in ROS domain \d+, namespace /: goal_pose by the planner; start"):
         client.wait_for(client.missing, 0.1)
+
+
+def test_no_goal_is_sent_while_the_adapter_passes_no_command_on(client, monkeypatch):
+    monkeypatch.setattr(client_module, "_CHECKED_S", 0.1)
+    monkeypatch.setattr(client, "hear_stops", lambda: None)
+    hear(client, topics.DIAGNOSTICS, diagnostics("adapter", "KUKA's arm has a stiffness"))
+    outcome = client.go(np.zeros(3), None)
+    assert not outcome.done and outcome.text.endswith("passes no command on: KUKA's arm has a stiffness")
+
+
+def test_goals_go_where_the_planner_takes_them_from_once_it_is_ready(client, monkeypatch):
+    assert not client.reaches_planner()
+    planner, heard = rclpy.create_node("planner", cli_args=["--ros-args", "-r", "goal_pose:=reach_goal"]), []
+    planner.create_subscription(PoseStamped, "goal_pose", heard.append, 10)
+    assert client.until(client.reaches_planner, 30.0)
+
+    def is_heard():
+        client.send_goal(np.zeros(3))
+        rclpy.spin_once(planner, timeout_sec=0.05)
+        return bool(heard)
+
+    assert client.until(is_heard, 30.0)
+    # Without settings it compiles, which takes longer than to hear nodes that are up.
+    monkeypatch.setattr(client_module, "_FOUND_S", 0.2)
+    patience = []
+    monkeypatch.setattr(client, "wait_for", lambda missing, timeout: patience.append(timeout))
+    client.wait_until_ready()
+    hear(client, topics.SETTINGS, to_status("planner", "", {}))
+    client.wait_until_ready()
+    assert patience == [client_module._COMPILED_S, client_module._FOUND_S]
 
 
 def test_stops_are_those_in_force_by_node(client):

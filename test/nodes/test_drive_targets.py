@@ -5,16 +5,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from arm_simulation import HOME
+from kuka import CONFIGS, LATER, OF_2024, KukaRobot, described
 from message_packages import message_packages
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from stack_helpers import hand_in, ros
+from std_msgs.msg import String
 from test_adapter import Bench
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.constants import torque_rates
 from contact_reach_ros.drives import effort, franka, lbr
+from contact_reach_ros.drives.command_guard import Phase
 from contact_reach_ros.drives.settings import (
     FRANKA_TORQUE_RATE,
     AdapterSettings,
@@ -25,6 +27,7 @@ from contact_reach_ros.drives.settings import (
 from contact_reach_ros.errors import SettingsError, StopCode
 from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.adapter import AdapterNode
+from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.timing import NANOSECONDS
 
 ARM = load_arm("iiwa14")
@@ -83,8 +86,11 @@ def packages():
         yield
 
 
-def make_lbr(node=None, **settings):
-    return lbr.LbrTarget(node or Node(), ARM, LbrSettings(**settings), 0.002)
+def make_lbr(node=None, is_described=True, **settings):
+    target = lbr.LbrTarget(node or Node(), ARM, LbrSettings(**settings), 0.002)
+    if is_described:
+        target.states.describe(described(CONFIGS[LATER]), True)
+    return target
 
 
 def message(tick=1, **fields):
@@ -98,34 +104,38 @@ def test_stamps_have_the_robots_steps_on_this_machines_clock():
     target, stamps = make_lbr(), []
     for tick, late_ms in enumerate([3, 1, 7, 2, 9, 1, 30, 1]):
         arrives_ns = START_NS + AHEAD_NS + (2 * tick + late_ms) * MS
-        stamps.append(target.read(message(tick), arrives_ns).stamp_ns)
+        stamps.append(target.states.read(message(tick), arrives_ns).stamp_ns)
     # The first message was late; after the best one the steps are the robot's, but for the drift that is allowed for.
     assert stamps[1] == START_NS + AHEAD_NS + 3 * MS
     np.testing.assert_allclose(np.diff(stamps[1:]), 2 * MS, rtol=5e-4)
     # One that comes twice is no new state.
-    assert target.read(message(7), START_NS + AHEAD_NS + 16 * MS) is None
+    assert target.states.read(message(7), START_NS + AHEAD_NS + 16 * MS) is None
     # A simulated clock is everybody's.
-    assert make_lbr(Node(is_simulated=True)).read(message(), 0).stamp_ns == START_NS + 2 * MS
+    assert make_lbr(Node(is_simulated=True)).states.read(message(), 0).stamp_ns == START_NS + 2 * MS
     # This machine's clock is set.
     set_ns = START_NS - AHEAD_NS + 16 * MS
-    assert target.read(message(8), set_ns).stamp_ns == set_ns
+    assert target.states.read(message(8), set_ns).stamp_ns == set_ns
 
 
 def test_velocity_is_that_of_the_positions():
     target, speed = make_lbr(velocity_cutoff=100.0), np.linspace(-1.0, 1.0, 7)
     for tick in range(100):
-        state = target.read(message(tick, measured_joint_position=0.002 * tick * speed), START_NS + 2 * tick * MS)
+        state = target.states.read(
+            message(tick, measured_joint_position=0.002 * tick * speed), START_NS + 2 * tick * MS
+        )
     np.testing.assert_allclose(state.v, speed, atol=1e-9)
     np.testing.assert_allclose(state.q, 0.002 * 99 * speed)
     # After a pause nobody knows it.
-    state = target.read(message(1000, measured_joint_position=speed), START_NS + 2000 * MS)
+    state = target.states.read(message(1000, measured_joint_position=speed), START_NS + 2000 * MS)
     np.testing.assert_allclose(state.v, 0.0)
 
 
 @pytest.mark.parametrize(("sign", "factor"), [("positive", 1.0), ("negative", -1.0)])
 def test_commands_mirror_the_measured_position_and_measured_torques_have_the_sign_of_the_setting(sign, factor):
     target, q = make_lbr(torque_sign=sign), np.linspace(0.1, 0.7, 7)
-    assert (factor * target.read(message(measured_joint_position=q), START_NS).torque).tolist() == list(range(7))
+    for tick in (1, 2):
+        state = target.states.read(message(tick, measured_joint_position=q), START_NS)
+    np.testing.assert_allclose(factor * state.torque, range(7), atol=1e-9)
     sent = deserialize_message(target.write(np.arange(7.0)), lbr.LBRTorqueCommand)
     assert sent.joint_position.tolist() == q.tolist() and sent.torque.tolist() == list(range(7))
 
@@ -142,10 +152,10 @@ def test_commands_mirror_the_measured_position_and_measured_torques_have_the_sig
 def test_a_driver_that_is_not_ready_is_explained_and_gives_states_nevertheless(fields, words):
     target = make_lbr()
     assert "no state on lbr/state yet" in target.problem
-    assert target.read(message(1, **fields), START_NS) is not None
+    assert target.states.read(message(1, **fields), START_NS) is not None
     assert target.problem.startswith(words)
-    target.read(message(2), START_NS)
-    assert not target.problem
+    target.states.read(message(2), START_NS)
+    assert "stiffness of KUKA's joint impedance control has not been measured" in target.problem
 
 
 def test_a_stop_deactivates_the_component_unless_it_has_no_name():
@@ -197,11 +207,16 @@ def test_torques_reach_a_kuka_in_a_commanding_session_until_its_component_is_dea
         (4, ""),
         (1, "the FRI session is MONITORING_WAIT"),
     ):
-        target.read(message(session, session_state=session), START_NS)
+        target.states.read(message(session, session_state=session), START_NS)
         assert target.idle == idle
-    target.read(message(9), START_NS)
+    target.states.read(message(9), START_NS)
     target.stop()
     assert target.idle == "lbr_system_interface is inactive"
+
+
+def test_fri_is_refused_where_it_is_too_slow_for_torques():
+    with pytest.raises(SettingsError, match="state_rate = 200 Hz; expected 500 to 1000, an FRI send period"):
+        lbr.LbrTarget(Node(), ARM, LbrSettings(), 0.005)
 
 
 def test_a_missing_message_package_is_named():
@@ -228,34 +243,93 @@ def bench():
         yield Bench()
 
 
-def test_a_session_that_ends_stops_the_arm_and_says_why(bench):
-    node, command = bench.node, 0.4 * np.arange(7.0)
-    sent, states, source = [], [], node._target._source
-    node._write = lambda data: sent.append(deserialize_message(data, lbr.LBRTorqueCommand).torque.tolist())
+class BenchOnKuka:
+    """KUKA's arm behind an adapter whose loop runs when told to."""
 
-    def forward(data):
-        states.append(deserialize_message(data, JointState))
-        hand_in(node.inbox, topics.JOINT_STATES, data)
+    def __init__(self, bench, **config):
+        self.node, self.bench = bench.node, bench
+        self.robot = KukaRobot(load_scene("free"), 0.002, **config)
+        self.sent, self.states = [], []
+        self.node._write, self.node._write_state = self._take, self._forward
+        self.describe(self.robot.description)
 
-    node._write_state = forward
+    def describe(self, text):
+        hand_in(self.node.inbox, self.node._target._description, serialize_message(String(data=text)))
 
-    def show(tick, **fields):
-        hand_in(node.inbox, source, serialize_message(message(tick, **fields)))
+    def run(self, seconds, commands=True, **fields):
+        """Exchange states and commands; `fields` are other values of the states."""
+        for _ in range(round(500 * seconds)):
+            self.robot.step(self.robot.now_ns)
+            state = lbr.LBRState(**self.robot.message() | fields)
+            hand_in(self.node.inbox, self.node._target._source, serialize_message(state))
+            if commands:
+                self.bench.command(np.zeros(7))
+            self.node._look_for_silence()
 
-    show(1, session_state=3, measured_joint_position=HOME)
-    bench.command(command)
-    assert sent == [] and "COMMANDING_WAIT" in node.diagnosis()[0]
-    show(2, measured_joint_position=HOME)
-    bench.command(command)
-    assert sent == [command.tolist()] and states[-1].position.tolist() == HOME.tolist()
-    for tick in range(3, 203):
-        show(tick, session_state=1, measured_joint_position=HOME)
-        node._look_for_silence()
+    def _take(self, data):
+        command = deserialize_message(data, lbr.LBRTorqueCommand)
+        self.sent.append(command.torque.tolist())
+        self.robot.aim(command.joint_position)
+        self.robot.command(command.torque, self.robot.now_ns)
+
+    def _forward(self, data):
+        self.states.append(deserialize_message(data, JointState))
+        hand_in(self.node.inbox, topics.JOINT_STATES, data)
+
+
+def test_commands_pass_when_the_stiffness_is_known_to_be_zero_until_the_session_ends(bench):
+    kuka, node = BenchOnKuka(bench), bench.node
+    kuka.run(0.1)
+    assert kuka.sent == [] and "COMMANDING_WAIT" in node.diagnosis()[0]
+    kuka.run(0.5, commands=False)
+    assert kuka.sent == [] and "has not been measured" in node.diagnosis()[0]
+    kuka.run(0.5)
+    assert "is being measured" in node.diagnosis()[0] and node._guard.phase is Phase.HARMLESS and len(kuka.sent) > 200
+    kuka.run(0.7)
+    assert node._guard.phase is Phase.PASSING and not node.diagnosis()[0]
+    kuka.run(0.1, session_state=1)
     assert node._guard.stop_reason.startswith("the FRI session is MONITORING_WAIT")
     assert node._guard.stop_reason.code is StopCode.DRIVE
-    bench.command(command)
-    # The arm carries itself: at rest nothing is harmless, and what was commanded goes by and by.
-    assert np.abs(sent[-1]).max() < 0.01 and sent.count(command.tolist()) == 1 and len(states) == 202
+    # The arm carries itself: at rest nothing is harmless.
+    assert np.abs(kuka.sent[-1]).max() < 0.5 and len(kuka.states) > 900
+
+
+@pytest.mark.parametrize(
+    ("config", "words"),
+    [
+        ({"stiffness": 200.0}, "stiffness of about"),
+        ({"generation": OF_2024, "stiffness": 200.0}, "stiffness of about"),
+        ({"generation": OF_2024, "open_loop": "true"}, "set open_loop: false"),
+        ({"client_command_mode": "position"}, "client_command_mode is position; expected torque"),
+    ],
+)
+def test_a_wrong_setting_is_named_and_no_command_passes(bench, config, words):
+    kuka = BenchOnKuka(bench, **config)
+    start = kuka.robot.plant.tip_position
+    kuka.run(1.7)
+    assert words in bench.node.diagnosis()[0] and bench.node._passed == 0
+    assert np.linalg.norm(kuka.robot.plant.tip_position - start) < 0.005
+
+
+def test_a_doubtful_control_mode_is_logged_once(bench, capfd):
+    kuka = BenchOnKuka(bench)
+    kuka.run(0.3, control_mode=0)
+    for _ in range(2):
+        bench.node._target.look()
+    assert capfd.readouterr().err.count("KUKA's control mode is POSITION_CONTROL") == 1
+    assert "POSITION_CONTROL" in bench.node.diagnosis()[1]["doubt"]
+
+
+def test_a_driver_in_another_namespace_is_named(bench):
+    keep = bench.publish(bench.node._target._source._replace(name="left/lbr/state"))
+    bench.until(lambda: bench.node._target.look() or "there is /left/lbr/state" in bench.node.diagnosis()[0], "found")
+    assert "set lbr.driver to what comes before /state" in bench.node.diagnosis()[0]
+    bench.other.destroy_publisher(keep)
+
+
+def test_a_cutoff_of_the_observer_is_refused_as_torques_come_unfiltered():
+    assert make_lbr().hear("observer", {"momentum.torque_cutoff": 10.0}).startswith("momentum.torque_cutoff = 10")
+    assert not make_lbr().hear("observer", {"momentum.torque_cutoff": 0.0})
 
 
 def make_franka(node=None, **settings):

@@ -22,7 +22,11 @@ def endpoints(act):
     found = {}
     for topic in topics.ALL:
         nodes = [name for name in STACK if topic.name in getattr(INTERFACES[name], act)]
-        found[topic.name] = [Endpoint(f"/{name}", topic.type_name, qos_profile(topic.qos)) for name in nodes]
+        is_double = topic.from_anybody and act == "subscribes"
+        profiles = [topic.qos, topic.qos._replace(latched=False)] if is_double else [topic.qos]
+        found[topic.name] = [
+            Endpoint(f"/{name}", topic.type_name, qos_profile(qos)) for name in nodes for qos in profiles
+        ]
     return found
 
 
@@ -120,9 +124,15 @@ BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     [
         (topics.GOAL_POSE, {"type_name": "geometry_msgs/msg/Pose"}, "geometry_msgs/msg/Pose", "PoseStamped"),
         (topics.GOAL_POSE, {"qos": BEST_EFFORT}, "/planner gets nothing from /stranger", "reliable"),
-        (topics.OBSTACLES, {"qos": qos_profile(topics.STREAM)}, "/stranger", "transient local"),
+        (topics.SAFETY_STATE, {"qos": qos_profile(topics.STREAM)}, "/stranger", "transient local"),
     ],
 )
 def test_types_and_qualities_of_service_that_do_not_match(topic, changes, found, fix):
     finding = stack.topic(with_another(topic, **changes), topic)
     assert finding.verdict is Verdict.FAIL and found in finding.found and fix in finding.fix
+
+
+def test_obstacles_need_not_be_latched():
+    topic = topics.OBSTACLES
+    finding = stack.topic(with_another(topic, qos=qos_profile(topics.STREAM)), topic)
+    assert finding.verdict is Verdict.PASS

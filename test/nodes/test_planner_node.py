@@ -172,11 +172,49 @@ def test_no_contact_and_one_that_is_none_change_nothing(leading, wrong):
     assert leading.refused == {"safety states": 3}
 
 
-def test_a_stopped_arm_takes_no_goal_and_keeps_none_that_waits(planner):
+def test_goals_that_came_before_the_planner_was_active_never_move_the_arm(planner):
+    """They wait in the middleware while it compiles."""
+    send(planner, topics.OBSTACLES, MarkerArray())
+    planner.activate()
+    reports = planner._output._goal_states = Published()
+    send_goal(planner)
+    send(planner, topics.GOAL_POSE, to_goal_pose(GOAL, "camera", to_time(0)))
+    for tick in range(1001, 1100):
+        planner.show(tick)
+    assert not planner.asked and planner.refused == {"goals": 2}
+    reasons = [{entry.key: entry.value for entry in message.values}["reason"] for message in reports.messages]
+    assert [reason[:37] for reason in reasons] == 2 * ["goal: there is no joint state yet; ex"]
+
+
+def test_an_old_goal_is_refused_and_the_one_in_force_stays(planner):
+    send(planner, topics.OBSTACLES, MarkerArray())
+    send_goal(planner)
+    planner.show(9000)
+    send(planner, topics.OBSTACLES, MarkerArray())
+    send_goal(planner)
+    in_force = planner._planner.goal
+    send(planner, topics.GOAL_POSE, to_goal_pose(GOAL + 0.05, ARM.base_frame, to_time(6999 * TICK_NS)))
+    assert "its stamp is 2.001 s older than the last joint state" in planner.boundary.last_refusals()[0]
+    assert planner.refused == {"goals": 1} and planner._planner.goal is in_force
+
+
+def test_a_goal_in_force_ends_with_a_gap_in_the_states_and_the_controller_hears_it(planner):
+    send(planner, topics.OBSTACLES, MarkerArray())
+    send_goal(planner)
+    planner.show(1000)
+    planner._output._poses = Published()
+    planner.show(3001)
+    send(planner, topics.OBSTACLES, MarkerArray())
+    planner.show(3040)
+    assert len(planner.asked) == 1 and planner._planner.goal_state.phase is GoalPhase.WITHDRAWN
+    (nothing,) = planner._output._poses.messages
+    assert not nothing.points
+
+
+def test_a_stopped_arm_takes_no_goal(planner):
     """Otherwise a reset would move it."""
     stopped, free = (to_status("controller", text, {}, level) for text, level in (("pushed", ERROR), ("holding", OK)))
     send(planner, topics.OBSTACLES, MarkerArray())
-    planner._planner.state = None
     send_goal(planner)
     assert planner._planner.has_goal
     for _ in range(2):

@@ -42,8 +42,10 @@ def interface(name, mode):
     """What a node publishes, subscribes to, serves and calls."""
     with ros(*mode, "port:=0"):
         node = NODES[name]()
-        # As it does when it is configured.
+        # As it does when it is configured, and active.
         node.take_part()
+        if isinstance(node, PlannerNode):
+            node.describe_robot()
         kinds = ("publisher", "subscriber", "service", "client")
         found = [getattr(node, f"get_{kind}_names_and_types_by_node")(name, "/") for kind in kinds]
         node.destroy_node()
@@ -56,7 +58,7 @@ def test_the_table_says_what_a_node_does_in_all_its_modes(name):
     publishes, subscribes, serves, calls = (set().union(*parts) for parts in found)
     if name == "recorder":
         # It subscribes to topics once they have a publisher.
-        subscribes |= {topic.name for topic in topics.ALL}
+        subscribes |= {*(topic.name for topic in topics.ALL), *topics.OF_OTHERS}
     table = INTERFACES[name]
     assert (publishes, subscribes, serves) == (table.publishes, table.subscribes, table.serves)
     # Two call services when their users ask for it, or where a package is installed.

@@ -11,11 +11,11 @@ from rclpy.serialization import serialize_message
 from stack_helpers import UNWATCHED, AtRest, Beside, hand_in, ros
 from std_msgs.msg import Float64MultiArray
 
-from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError, StopCode
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose
+from contact_reach_ros.messages.serialized import joint_state_writer
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.nodes.observer import ObserverNode
@@ -23,6 +23,8 @@ from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.ros.graph import rivalry
 from contact_reach_ros.ros.interfaces import ALONE
 from contact_reach_ros.world.spheres import Spheres
+
+WRITER = joint_state_writer(ARM.joint_names, ARM.base_frame, ["position", "velocity"])
 
 
 @contextmanager
@@ -141,7 +143,7 @@ def test_the_planner_withdraws_its_goal_and_takes_none_beside_a_second_publisher
     with beside(PlannerNode) as it:
         planner, goal = it.node, to_goal_pose([0.5, 0.1, 0.4], ARM.base_frame, Time())
         planner._planner.see(Spheres.none())
-        planner._planner.request(JointState(0, HOME, REST, None))
+        planner._on_state(WRITER.write(HOME, REST, stamp_ns=0))
         publishers = [it.publish(topics.JOINT_STATES)]
         planner._on_goal(goal)
         it.until(lambda: planner.count_publishers(topics.JOINT_STATES.name), "the first one is found")

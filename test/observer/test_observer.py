@@ -186,3 +186,12 @@ def test_weights_and_offsets_that_were_identified_are_no_external_torque():
     known = Watched(momentum=MomentumSettings(torque_offset=OFFSETS, **SHIFTS))
     report = known.run(HANDED_OVER, lacking - OFFSETS)[-1]
     np.testing.assert_allclose(report.residual, 0.0, atol=0.05)
+
+
+def test_states_of_a_joint_state_publisher_do_not_start_an_arm_and_the_remapping_is_named():
+    watched = Watched(period_ms=33)
+    observer = Observer(ARM, ObserverSettings(), BUDGET, 0.001)
+    for _ in range(60):
+        report = observer.update(watched.state())
+        assert report is None or report.verdict.doubt
+    assert "come at 30 Hz, expected 1000 Hz" in report.verdict.doubt and "franka/joint_states" in report.verdict.doubt

@@ -49,6 +49,13 @@ def touch(force: float = 10.0, is_excessive: bool = False) -> Contact:
     return Contact(ARM.link_names[-1], TIP, pushed, 0.0, torque, is_excessive)
 
 
+def begin(planner: Planner, goal: Goal = GOAL) -> Planner:
+    """It sees the arm at tick 0 and takes a goal."""
+    assert planner.request(state(0)) is None
+    planner.command(goal)
+    return planner
+
+
 def requests(planner: Planner, first: int, last: int) -> dict[int, Request]:
     """What is requested for the states of the ticks from first to last, by tick."""
     made = {tick: planner.request(state(tick)) for tick in range(first, last + 1)}
@@ -63,8 +70,7 @@ def core() -> StayingCore:
 @pytest.fixture
 def planner(core) -> Planner:
     """With a goal, after the first request at tick 0."""
-    planner = make(core)
-    planner.command(GOAL)
+    planner = begin(make(core))
     assert list(requests(planner, 0, 0)) == [0]
     return planner
 
@@ -95,14 +101,41 @@ class TestRequests:
 
 
 class TestGoals:
-    def test_before_the_first_state_it_waits_and_then_holds_the_orientation_of_that(self):
-        planner = make()
+    def test_it_holds_the_orientation_of_the_last_state(self):
+        planner, turned = make(), HOME + 0.3
+        planner.request(state(0, turned))
         planner.command(GOAL)
-        assert planner.goal is None
-        turned = HOME + 0.3
-        request = planner.request(state(0, turned))
-        np.testing.assert_allclose(request.goal.rotation, RobotModel(ARM).tip_pose(turned)[1], atol=1e-12)
-        assert request.goal is planner.goal
+        np.testing.assert_allclose(planner.goal.rotation, RobotModel(ARM).tip_pose(turned)[1], atol=1e-12)
+        assert planner.request(state(0, turned)).goal is planner.goal
+
+    @pytest.mark.parametrize("goal", [GOAL, BEYOND])
+    def test_before_the_first_state_it_is_refused_and_never_moves_the_arm(self, goal):
+        planner = make()
+        with pytest.raises(InputError, match=r"^goal: there is no joint state yet; .* send the goal again"):
+            planner.command(goal)
+        assert not planner.has_goal and planner.goal_state is None
+        assert requests(planner, 0, 100) == {}
+
+    def test_an_old_one_is_refused_and_the_one_before_stays(self, planner):
+        planner.request(state(5000))
+        planner.command(GOAL)
+        before = planner.goal
+        for sent in (1, 1000, 2999):
+            with pytest.raises(InputError, match=r"^goal: its stamp is .* s older .* goal_timeout, 2 s, at most"):
+                planner.command(OTHER_GOAL, sent * TICK_NS)
+            assert planner.goal is before and planner.goal_state.phase is GoalPhase.ACCEPTED
+        # Just young enough, now, and from a clock that is ahead.
+        for sent in (3000, 0, 5000, 10**9):
+            planner.command(GOAL, sent * TICK_NS)
+            assert planner.goal is not before
+
+    @pytest.mark.parametrize(("gap", "phase"), [(2000, GoalPhase.ACCEPTED), (2001, GoalPhase.WITHDRAWN)])
+    def test_a_gap_in_the_states_ends_it(self, planner, gap, phase):
+        planner.request(state(gap))
+        assert planner.goal_state.phase is phase
+        assert bool(requests(planner, gap + 1, gap + 100)) is (phase is GoalPhase.ACCEPTED)
+        if phase is GoalPhase.WITHDRAWN:
+            assert planner.goal_state.reason.startswith("no joint state came for 2.0 s, more than goal_timeout")
 
     def test_another_one_replaces_it_from_the_next_request_on(self, planner):
         planner.command(OTHER_GOAL)
@@ -120,14 +153,6 @@ class TestGoals:
             planner.command(goal)
         assert planner.goal is before
         assert list(requests(planner, 1, 60)) == [30, 60]
-
-    def test_one_that_waited_and_is_refused_is_raised_with_the_first_state(self):
-        planner = make()
-        planner.command(BEYOND)
-        with pytest.raises(InputError, match="goal: position is "):
-            planner.request(state(0))
-        assert planner.goal_state.phase is GoalPhase.REFUSED and "position is" in planner.goal_state.reason
-        assert requests(planner, 1, 60) == {}
 
     def test_one_that_is_withdrawn_leads_to_no_plans_and_only_another_one_does(self, planner, core):
         planner.withdraw("pushed")
@@ -164,15 +189,12 @@ class TestContacts:
 
     @pytest.mark.parametrize("reaction", REACTIONS)
     def test_one_beyond_the_permitted_force_is_objected_to_at_once_whatever_the_reaction(self, core, reaction):
-        planner = make(core, reaction)
-        planner.command(GOAL)
-        planner.request(state(0))
+        planner = begin(make(core, reaction))
         expected = "contact of 14 N at lbr_link_7, more than the permitted force"
         assert planner.objection(touch(14.0, True)) == expected
 
     def test_one_that_ignores_contact_objects_to_none_within_it(self, core):
-        planner = make(core, IGNORE)
-        planner.command(GOAL)
+        planner = begin(make(core, IGNORE))
         assert not any(self.objections(planner, range(100), touch()))
 
 
@@ -193,7 +215,7 @@ class TestObstacles:
         refused = []
         planner = self.requiring(refuse=lambda what, error: refused.append((what, str(error))))
         planner.see(Spheres.none(), 0)
-        planner.command(GOAL)
+        begin(planner)
         assert list(requests(planner, 0, 320)) == [0, 30, 60, 90, 120, 150, 180]
         assert [what for what, _ in refused] == 4 * ["plans"]
         assert refused[0][1].startswith("obstacles: last seen 0.210 s ago; expected max_obstacle_age, 0.2 s, at most")
@@ -234,23 +256,20 @@ def fail(planner, first: int, attempts: int) -> list[GoalPhase]:
 
 
 def test_a_goal_without_a_plan_at_the_first_attempts_is_refused_with_the_reason():
-    planner = make(StayingCore(failing_after=0))
-    planner.command(GOAL)
+    planner = begin(make(StayingCore(failing_after=0)))
     phases = fail(planner, 0, 6)
     assert phases[:4] == 4 * [GoalPhase.ACCEPTED] and phases[-1] is GoalPhase.REFUSED
     assert not planner.has_goal and planner.goal_state.reason == "there is no plan for it: there is no way to the goal"
 
 
 def test_a_goal_with_a_plan_stays_though_later_ones_are_not_found():
-    planner = make(StayingCore(failing_after=1))
-    planner.command(GOAL)
+    planner = begin(make(StayingCore(failing_after=1)))
     planner.solve(planner.request(state(0)))
     assert fail(planner, 30, 12) == 12 * [GoalPhase.RUNNING]
 
 
 def test_a_goal_that_proves_unreachable_on_the_way_is_refused_at_once():
-    planner = make(StayingCore(failing_after=1, error=UnreachableError))
-    planner.command(GOAL)
+    planner = begin(make(StayingCore(failing_after=1, error=UnreachableError)))
     planner.solve(planner.request(state(0)))
     assert fail(planner, 30, 1) == [GoalPhase.REFUSED]
     assert not planner.has_goal and "there is no way to the goal" in planner.goal_state.reason

@@ -105,6 +105,7 @@ def test_weak_contact_is_no_reason_and_one_of_an_old_bag_without_torques_is_neve
 def test_a_planner_explains_by_the_obstacles_that_it_saw_last():
     planner, contact = make(StayingCore()), located(push(HAND, 8.0 * SIDEWAYS))
     planner.see(ball(HAND, SIDEWAYS))
+    planner.request(state(0))
     planner.command(GOAL)
     for tick in range(200):
         planner.request(state(tick))

@@ -1,9 +1,9 @@
-"""Stand-ins for the drivers of real arms: the simulated arm behind the topics, services and habits of each.
+"""Stand-ins for the drivers of real arms: `standins.py KIND [NAME=VALUE ...] --ros-args ...`.
 
-They hold the last torque for ever. What they do is taken from the sources of the drivers; docs/adapter.md names them.
+The simulated arm behind the topics, services and habits of each driver, which its sources tell; docs/adapter.md names
+them. They hold the last torque for ever. The names are attributes of the kind, or what `KukaRobot` takes.
 """
 
-import math
 import sys
 import time
 
@@ -11,11 +11,14 @@ import numpy as np
 from controller_manager_msgs.msg import ControllerState
 from controller_manager_msgs.srv import ListControllers, SetHardwareComponentState, SwitchController
 from franka_msgs.srv import SetFullCollisionBehavior
+from kuka import KukaRobot
 from lbr_fri_idl.msg import LBRState, LBRTorqueCommand
 from lifecycle_msgs.msg import State
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters
 from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
@@ -24,6 +27,9 @@ from contact_reach_ros.ros.process import run
 from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.plant import Actuation
 from contact_reach_ros.timing import NANOSECONDS
+
+OF_KUKA = {}
+"""What `KukaRobot` is given."""
 
 
 class StandIn(DriverNode):
@@ -52,21 +58,28 @@ class StandIn(DriverNode):
 
 
 class EffortDriver(StandIn):
-    """An effort controller of ros2_control, in an order of its own; deactivated, it sends zeros."""
+    """An effort controller of ros2_control, in an order of its own, and the controller manager.
+
+    Deactivated, a JointGroupEffortController sends zeros; a ForwardCommandController leaves the last torque.
+    """
 
     BRAKES = False
+    FORWARD = False
 
     def __init__(self):
         super().__init__()
         self.joints = [self.arm.joint_names[index] for index in (2, 0, 1, 6, 5, 4, 3)]
         self._is_active = True
+        self._last = np.zeros(self.arm.n)
         self.create_service(GetParameters, "effort_controller/get_parameters", self._on_parameters)
         self.create_service(SwitchController, "controller_manager/switch_controller", self._on_switch)
         self.create_service(ListControllers, "controller_manager/list_controllers", self._on_list)
 
     def read_torque(self, data):
-        torque = super().read_torque(data)
-        return torque[[self.joints.index(name) for name in self.arm.joint_names]] * self._is_active
+        if self._is_active:
+            torque = super().read_torque(data)
+            self._last = torque[[self.joints.index(name) for name in self.arm.joint_names]]
+        return self._last
 
     def _on_parameters(self, request, response):
         value = ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=self.joints)
@@ -80,25 +93,36 @@ class EffortDriver(StandIn):
         return response
 
     def _on_switch(self, request, response):
+        controllers = {*request.activate_controllers, *request.deactivate_controllers}
+        response.ok = controllers == {"effort_controller"} and request.strictness == request.STRICT
+        if not response.ok:
+            return response
         self._is_active = not request.deactivate_controllers
         if self.BRAKES and not self._is_active:
             self.robot.drive.stop("no controller is active")
         elif self.BRAKES:
             self.robot.drive.reset()
-        self.send_zeros()
-        response.ok = True
+        if not self.FORWARD:
+            self._last = np.zeros(self.arm.n)
+            self.send_zeros()
         return response
 
 
 class FrankaDriver(EffortDriver):
-    """franka_ros2: torques without gravity that change by 1 Nm a tick at most, and reflexes."""
+    """franka_ros2: torques without gravity that change by 1 Nm a tick at most, and reflexes.
+
+    `joint_states` are those of a joint_state_publisher, 30 a second, beside the broadcaster's own.
+    """
 
     BRAKES = True
     STEP = 1.0
+    STATES = Topic("franka/joint_states", JointState)
+    SLOW_NS = NANOSECONDS // 30
 
     def __init__(self):
         super().__init__()
         self._reflexes = None
+        self._write_slow, self._slow_ns = self.make_writer(topics.JOINT_STATES), 0
         self._torque = np.zeros(self.arm.n)
         name = "service_server/set_full_collision_behavior"
         self.create_service(SetFullCollisionBehavior, name, self._on_reflexes)
@@ -113,6 +137,9 @@ class FrankaDriver(EffortDriver):
         if moves and self._reflexes is not None and (np.abs(self.external_torque()) > self._reflexes).any():
             self.robot.drive.stop("reflex")
         super().publish_state(state)
+        if state.stamp_ns - self._slow_ns >= self.SLOW_NS:
+            self._slow_ns = state.stamp_ns
+            self._write_slow(self._state_writer.write(state.q, state.v, state.torque, stamp_ns=state.stamp_ns))
 
     def _on_reflexes(self, request, response):
         self._reflexes = np.array(request.upper_torque_thresholds_nominal)
@@ -121,69 +148,42 @@ class FrankaDriver(EffortDriver):
 
 
 class LbrDriver(StandIn):
-    """lbr_fri_ros2_stack: FRI's state with torques behind a low-pass of 10 Hz, and torque overlays with positions.
-
-    KUKA's controller ends the session when the connection is closed, or when the commanded position is far from the
-    measured one, and closes the brakes.
-    """
+    """lbr_fri_ros2_stack: FRI's state, torque overlays with positions, and the description with its settings."""
 
     COMMANDS = Topic("lbr/command/torque", LBRTorqueCommand)
     STATES = Topic("lbr/state", LBRState)
-    CUTOFF = 10.0
-    SESSION_AFTER_S = 0.2
-    FARTHEST = 0.05
 
     def __init__(self):
         super().__init__()
-        self._torque = self._external = None
-        self._is_open = True
-        name = "lbr/controller_manager/set_hardware_component_state"
-        self.create_service(SetHardwareComponentState, name, self._on_component)
+        self.robot = KukaRobot(self._scene, self.period, **OF_KUKA)
+        self.create_service(
+            SetHardwareComponentState, "lbr/controller_manager/set_hardware_component_state", self._on_component
+        )
+        self._describe = self.make_publisher(topics.ROBOT_DESCRIPTION._replace(name="lbr/robot_description"))
+
+    def activate(self):
+        super().activate()
+        self.robot.exchange()
+        self._describe.publish(String(data=self.robot.description))
+
+    def send_zeros(self):
+        """The arm is carried from the beginning."""
 
     def read_torque(self, data):
         message = deserialize_message(data, LBRTorqueCommand)
-        far = np.abs(np.array(message.joint_position) - self.robot.plant.joint_positions).max()
-        if far > self.FARTHEST:
-            self._end(f"the commanded position is {far:.2f} rad from the measured one")
-        return np.array(message.torque) * self._is_open
+        self.robot.aim(message.joint_position)
+        return np.array(message.torque)
 
     def publish_state(self, state):
-        if not self._is_open:
-            return
-        carried = self.robot.drive._model.gravity_at(state.q)
-        # Before the first step the simulated sensors show nothing.
-        self._torque = self._filtered(self._torque, np.where(np.isnan(state.torque), carried, state.torque))
-        self._external = self._filtered(self._external, self.external_torque())
-        message = LBRState(
-            sample_time=self.period,
-            session_state=4 if self.robot.plant.steps > self.SESSION_AFTER_S * 1000 else 3,
-            connection_quality=3,
-            client_command_mode=3,
-            time_stamp_sec=state.stamp_ns // NANOSECONDS,
-            time_stamp_nano_sec=state.stamp_ns % NANOSECONDS,
-            measured_joint_position=state.q,
-            commanded_joint_position=state.q,
-            measured_torque=self._torque,
-            external_torque=self._external,
-        )
-        self.write_state(serialize_message(message))
-
-    def _filtered(self, before, value):
-        if before is None:
-            return value
-        cosine = math.cos(2.0 * math.pi * self.CUTOFF * self.period)
-        share = cosine - 1.0 + math.sqrt(cosine**2 - 4.0 * cosine + 3.0)
-        return before + share * (value - before)
+        # The session is over: the driver's process reports an error.
+        if not self.robot.ended:
+            self.write_state(serialize_message(LBRState(**self.robot.message())))
 
     def _on_component(self, request, response):
         response.ok = request.target_state.id == State.PRIMARY_STATE_INACTIVE
         if response.ok:
-            self._end("the connection is closed")
+            self.robot.end("the connection is closed")
         return response
-
-    def _end(self, why):
-        self._is_open = False
-        self.robot.drive.stop(why)
 
 
 DRIVERS = {"effort": EffortDriver, "lbr": LbrDriver, "franka": FrankaDriver}
@@ -191,5 +191,11 @@ DRIVERS = {"effort": EffortDriver, "lbr": LbrDriver, "franka": FrankaDriver}
 if __name__ == "__main__":
     assert topics.COMMANDS.name == "effort_controller/commands"
     kind = sys.argv.pop(1)
+    while "=" in (sys.argv[1:] or [""])[0]:
+        name, value = sys.argv.pop(1).split("=")
+        if kind == "lbr":
+            OF_KUKA[name] = float(value) if name == "stiffness" else value
+        else:
+            setattr(DRIVERS[kind], name, value == "true")
     carries = [] if kind == "effort" else ["-p", "watchdog.carries:=true"]
     sys.exit(run(DRIVERS[kind], [*sys.argv, "--ros-args", "-p", "watchdog.enabled:=false", *carries]))

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
-from message_packages import message_packages
 from stack_helpers import (
     PATIENT_PLANNER,
     command_lines,
     environment,
     module,
     parameter_file,
+    prefix,
     processes_of_domain,
     ready,
     ros,
@@ -28,7 +28,6 @@ from stack_helpers import (
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.ros.inbox import qos_profile
-from contact_reach_ros.settings import NODES
 
 AWAY = "goto 0.45 -0.45 0.35"
 MOVES, RESTS = 0.2, 0.05
@@ -41,12 +40,6 @@ ATTEMPTS = 3
 """On a machine that stands still for a while the arm is rightly stopped before it has moved: that shows nothing."""
 HOLDS, LETS_GO = "asked to end, but the drive would keep the last torque", "lets go of the arm: "
 LAUNCH = str(Path(__file__).with_name("launching.py"))
-
-
-@pytest.fixture(scope="module")
-def packages():
-    """Environment variables with which processes import the message packages of the drivers."""
-    return {"PYTHONPATH": os.pathsep.join((*message_packages(), *filter(None, [os.environ.get("PYTHONPATH")])))}
 
 
 @contextmanager
@@ -142,19 +135,10 @@ def up(parameters, folder):
 def launched(parameters, folder):
     """The same with launch, which finds the executables in a prefix."""
     pytest.importorskip("launch_ros", reason="needs launch_ros, which ROS has and no registry")
-    prefix = folder / "prefix"
-    index, executables = prefix / "share/ament_index/resource_index/packages", prefix / "lib/contact_reach_ros"
-    index.mkdir(parents=True)
-    executables.mkdir(parents=True)
-    (index / "contact_reach_ros").touch()
-    for name in NODES:
-        file = executables / name
-        file.write_text(f'#!/bin/sh\nexec {sys.executable} -m contact_reach_ros.nodes.{name} "$@"\n')
-        file.chmod(0o755)
     given = {"driver": "false", "adapter": "effort", "state_rate": "500.0", "parameters": parameters}
     command = [sys.executable, LAUNCH, *(f"{name}:={value}" for name, value in given.items()), f"bag:={folder / 'bag'}"]
     # The planner takes longest.
-    return command, {"AMENT_PREFIX_PATH": str(prefix)}, "[planner]: active"
+    return command, prefix(folder / "prefix"), "[planner]: active"
 
 
 def ctrl_c(process):

@@ -1,7 +1,11 @@
 """The stack on the conventions of real drivers, through the adapter: goals are reached, and silence is harmless."""
 
+import json
 import os
+import re
+import shlex
 import signal
+import subprocess
 import sys
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,10 +14,8 @@ import numpy as np
 import pytest
 import yaml
 from contact_reach_command import contact_reach
-from message_packages import message_packages
 from stack_helpers import (
     PATIENT_PLANNER,
-    SMALL_PLANNER,
     command_lines,
     environment,
     module,
@@ -24,12 +26,27 @@ from stack_helpers import (
     wait_for,
 )
 
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.bags.reader import BagReader
+from contact_reach_ros.bags.signals import arm_of_bag, read_signals
 from contact_reach_ros.messages.safety_state import ERROR
 from contact_reach_ros.resources import config_file
 
 THERE, AWAY = "goto 0.51 0.025 0.145 --wait", "goto 0.45 -0.45 0.35"
 """The second goal is half a metre from home: the arm is on its way for some seconds."""
+PAGE, STAGES = ((Path(__file__).parents[2] / "docs" / name).read_text() for name in ("adapter.md", "real_robot.md"))
+KUKA, FRANKA = "lbr generation=later", "franka"
+SET_UPS = [
+    ("effort", 1000),
+    ("effort FORWARD=true", 200),
+    (FRANKA, 1000),
+    ("lbr generation=2024", 500),
+    (KUKA, 500),
+    (KUKA, 1000),
+]
+"""Arguments of the stand-in, and the rate of its states, Hz."""
+ROBOTS = {"effort": {"robot": "iiwa14", "state_rate": 500.0}, "franka": {}, "lbr": {}}
+"""What docs/real_robot.md has the reader add for the stand-ins, for all nodes."""
 BRAKES = {"effort": "", "lbr": "the connection is closed", "franka": "no controller is active"}
 """Why each driver closes the brakes after a stop of the adapter; the first one does not."""
 MOVES, RESTS = 0.15, 0.05
@@ -38,34 +55,43 @@ ATTEMPTS = 3
 """On a machine that stands still for a while the arm is rightly stopped before it has moved: that shows nothing."""
 
 
-@pytest.fixture(scope="module")
-def packages():
-    """Environment variables with which processes import the message packages of the drivers."""
-    folders = message_packages()
-    return {"PYTHONPATH": os.pathsep.join((*folders, *filter(None, [os.environ.get("PYTHONPATH")])))}
-
-
-def parameters_of(kind, path, small):
-    """The parameter file that bring-up takes for a kind, with a small planner, which compiles faster."""
+def parameters_of(kind, path):
+    """The parameter file that bring-up takes for a kind, with a planner that is patient on a busy machine."""
     content = yaml.safe_load(config_file(f"{'default' if kind == 'effort' else kind}.yaml").read_text())
     planner = content.setdefault("planner", {}).setdefault("ros__parameters", {})
-    planner.update(small, planning={**planner.get("planning", {}), **small["planning"]})
+    planner.update(PATIENT_PLANNER, planning={**planner.get("planning", {}), **PATIENT_PLANNER["planning"]})
     path.write_text(yaml.safe_dump(content))
     return str(path)
 
 
+def command_of_page(kind):
+    """The command with which docs/adapter.md starts the stack for a kind of driver."""
+    lines = (line.partition("#")[0].split() for line in PAGE.splitlines() if "contact_reach_ros bringup" in line)
+    (words,) = (line for line in lines if f"adapter:={kind}" in line)
+    assert words[:4] == ["ros2", "run", "contact_reach_ros", "bringup"]
+    return [*module("bringup.bringup"), *words[4:]]
+
+
+def driver_of(set_up, rate):
+    """The command of the stand-in."""
+    command = [sys.executable, str(Path(__file__).with_name("standins.py")), *set_up.split()]
+    arm = ["-p", "robot:=fr3"] if set_up == FRANKA else []
+    return [*command, "--ros-args", "-p", f"state_rate:={rate}.0", *arm]
+
+
 @contextmanager
-def stack(kind, rate, lockstep, env, folder, scene="ball"):
-    """A driver of that kind, and the stack on it; yields what the driver prints."""
+def stack(set_up, rate, lockstep, env, folder, scene="ball", change=lambda up, driver: None):
+    """A driver of that kind, and the stack on it; yields what the driver prints. `change` alters both commands."""
+    kind = set_up.split()[0]
     output, drivers = folder / "up.txt", folder / "driver.txt"
-    driver = [sys.executable, str(Path(__file__).with_name("standins.py")), kind, "--ros-args"]
-    driver += ["-p", f"scene:={scene}", "-p", f"state_rate:={rate}.0"]
-    up = [*module("cli"), "up", "--no-driver", "--adapter", kind, "--state-rate", str(rate)]
-    parameters = parameters_of(kind, folder / "parameters.yaml", SMALL_PLANNER if lockstep else PATIENT_PLANNER)
-    up += ["--parameters", parameters, "--bag", str(folder / "bag")]
+    driver = [*driver_of(set_up, rate), "-p", f"scene:={scene}"]
+    up = [*command_of_page(kind), "-p", f"state_rate:={rate}.0", "-p", f"bag:={folder / 'bag'}"]
     if lockstep:
         driver += ["-p", "use_sim_time:=true"]
-        up.append("--lockstep")
+        up += ["-p", "lockstep:=true"]
+    else:
+        up += ["-p", f"parameters:={parameters_of(kind, folder / 'parameters.yaml')}"]
+    change(up, driver)
     with running(up, env, output) as process:
         ready(process, output)
         with running(driver, env, drivers) as process:
@@ -74,14 +100,50 @@ def stack(kind, rate, lockstep, env, folder, scene="ball"):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rate", [200, 500, 1000])
-@pytest.mark.parametrize("kind", BRAKES)
-def test_the_goal_is_reached_through_each_driver_at_its_rate(kind, rate, packages, tmp_path, capsys):
+@pytest.mark.parametrize(("set_up", "rate"), SET_UPS)
+def test_two_goals_settle_by_the_command_of_the_page(set_up, rate, packages, tmp_path, capsys):
     env = {**environment(), **packages}
-    with stack(kind, rate, True, env, tmp_path):
-        ((code, said),) = command_lines(env, THERE)
-    assert (code, said[:9]) == (0, "settled: ")
+    with stack(set_up, rate, True, env, tmp_path):
+        ended = command_lines(env, THERE, f"{AWAY} --wait")
+    assert [(code, said[:9]) for code, said in ended] == [(0, "settled: ")] * 2
+    assert all(float(said.partition(" mm")[0].rpartition(" ")[2]) <= 1.0 for _, said in ended), ended
+    bag = BagReader(tmp_path / "bag")
+    said = list(bag.messages("/safety_state"))
+    assert not any(each.level == ERROR or "contact" in each.message for each in said if each.name == "observer")
+    signals = read_signals(bag, arm_of_bag(bag))
+    assert len(signals.command.time) > 1000 and np.isfinite(signals.command.values).all()
     assert contact_reach("reexecute", tmp_path / "bag") == 0 and capsys.readouterr().out.count("identical") == 2
+
+
+def with_slow_states(up, driver):
+    up += ["-r", "joint_states:=joint_states"]
+
+
+def in_another_namespace(up, driver):
+    driver += ["-r", "__ns:=/left"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("set_up", "change", "words"),
+    [
+        ("lbr generation=later stiffness=200.0", None, "JointImpedanceControlMode(0, 0, 0, 0, 0, 0, 0)"),
+        ("lbr generation=2024 open_loop=true", None, "set open_loop: false"),
+        (KUKA, in_another_namespace, "there is /left/lbr/state: set lbr.driver"),
+        (FRANKA, with_slow_states, "franka/joint_states"),
+    ],
+)
+def test_a_wrong_set_up_is_named_before_the_arm_moves(set_up, change, words, packages, tmp_path):
+    env, rate = {**environment(), **packages}, 1000 if set_up == FRANKA else 500
+    with stack(set_up, rate, False, env, tmp_path, "free", change or (lambda up, driver: None)):
+        ((code, said),) = command_lines(env, THERE)
+    assert code and words in said, said
+    bag = BagReader(tmp_path / "bag")
+    arm = arm_of_bag(bag)
+    model = RobotModel(arm)
+    states = [dict(zip(state.name, state.position, strict=True)) for state in bag.messages("/joint_states")]
+    tips = [model.tip_pose(np.array([state[name] for name in arm.joint_names]))[0] for state in states]
+    assert all(np.linalg.norm(tip - tips[0]) < 0.005 for tip in tips)
 
 
 def stand_still_in_motion(kind, env, folder):
@@ -124,3 +186,73 @@ def test_in_real_time_a_controller_that_stands_still_in_motion_leaves_the_arm_at
     assert max(speeds) > MOVES
     # KUKA's driver reports nothing any more once its connection is closed.
     assert kind == "lbr" or max(speeds[-100:]) < RESTS
+
+
+def doctor(env, folder, *options):
+    """Findings of the doctor by name."""
+    file = folder / "doctor.json"
+    command = [*module("cli"), "doctor", "--json", str(file), *options]
+    subprocess.run(command, env=env, capture_output=True, timeout=120)
+    return {check["name"]: check for check in json.loads(file.read_text())["checks"]}
+
+
+def own_file(kind, folder, **planner):
+    """my_arm.yaml of docs/real_robot.md."""
+    content = yaml.safe_load(config_file(f"{'default' if kind == 'effort' else kind}.yaml").read_text())
+    content.setdefault("/**", {}).setdefault("ros__parameters", {}).update(ROBOTS[kind])
+    content.setdefault("planner", {}).setdefault("ros__parameters", {}).update(planner)
+    (folder / "my_arm.yaml").write_text(yaml.safe_dump(content))
+
+
+def stages(kind):
+    """The commands of docs/real_robot.md by the heading of their stage, words after contact-reach."""
+    found = {}
+    for section in re.split(r"^## ", STAGES, flags=re.MULTILINE)[1:]:
+        blocks = "".join(re.findall(r"^```\n(.*?)^```$", section, re.DOTALL | re.MULTILINE)).replace("\\\n", " ")
+        lines = [shlex.split(line.replace("$KIND", kind)) for line in blocks.splitlines()]
+        found[section[0]] = [words[1:] for words in lines if words and words[0] == "contact-reach"]
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("set_up", "rate", "said"),
+    [
+        ("effort", 500, "in the order lbr_A3, lbr_A1"),
+        (FRANKA, 1000, "in the order fr3_joint3, fr3_joint1"),
+        (KUKA, 500, "lbr_fri_ros2_stack later than 2024; KUKA's stiffness, which must be 0"),
+    ],
+)
+def test_the_stages_of_the_page_from_listening_to_a_slow_motion(set_up, rate, said, packages, tmp_path, monkeypatch):
+    kind, folder, output = set_up.split()[0], tmp_path, tmp_path / "driver.txt"
+    env, driver = {**environment(), **packages}, driver_of(set_up, rate)
+    own_file(kind, folder, require_obstacles=False)
+    monkeypatch.chdir(folder)
+    page = stages(kind)
+    with running(driver, env, output) as process:
+        ready(process, output, "active")
+        ((_, *options),) = (words for words in page["3"] if words[0] == "doctor")
+        found = doctor(env, folder, *options)
+        assert said in found["driver"]["found"] and "driver" in found["commands"]["found"]
+        # On a busy machine states come irregularly.
+        names = ("driver", "commands", "joint names and order", "clocks", "parameters")
+        assert [found[name]["verdict"] for name in names] == ["pass"] * len(names), found
+    for stage, goals in (("4", []), ("5", []), ("7", [words for words in page["7"] if words[0] != "up"])):
+        (up,) = (words for words in page[stage] if words[0] == "up")
+        text = folder / f"up{stage}.txt"
+        with running([*module("cli"), *up, "--lockstep"], env, text) as process:
+            ready(process, text)
+            with running([*driver, "-p", "use_sim_time:=true", "-p", "scene:=free"], env, output) as process:
+                ready(process, output, "active")
+                if goals:
+                    ended = command_lines(env, *map(shlex.join, goals))
+                    assert [code for code, _ in ended] == [0] * len(goals), ended
+                else:
+                    assert speeds_until(env["ROS_DOMAIN_ID"], lambda speeds: len(speeds) > 100)
+                if stage == "5":
+                    found = doctor(env, folder, *options)
+                    failed = [name for name, check in found.items() if check["verdict"] == "fail"]
+                    assert failed in ([], ["timer at 1 kHz"]), [found[name] for name in failed]
+        topics = BagReader(folder / up[up.index("--bag") + 1]).topics
+        assert ("/shadow/commands" in topics) == (stage == "4") != ("/adapter/commands" in topics)
+        assert "stopped the arm" not in text.read_text()
