@@ -275,7 +275,7 @@ class Stack:
     def command(self, goal: Task) -> None:
         """Give a goal, or replace the current one; raises `InputError` if it cannot be reached."""
         self._resolve(goal)
-        self.planner.command(goal)
+        self.planner.command(goal, self.state.stamp_ns)
         self.failure = ""
 
     def stop(self, text: str = "stop requested") -> None:

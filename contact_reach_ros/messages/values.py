@@ -19,6 +19,9 @@ LATEST_S = 2**31 - 3600
 FARTHEST = 1e3
 """Of what is drawn, m."""
 
+GOAL_STAMP, GOAL_PHASE = "goal stamp ns", "phase"
+"""Keys of goal/state: the stamp of the goal, and its phase."""
+
 _GOAL = ("goal x m", "goal y m", "goal z m")
 """Keys of a plan's goal in plan/statistics."""
 
