@@ -120,9 +120,9 @@ class TestStreams:
     def test_plans_are_for_where_the_goal_is_when_they_take_effect(self):
         planner = make()
         self.follow(planner, 0, 200)
-        request = planner.request(state(190))
-        assert request.effect_ns == 230 * TICK_NS
-        np.testing.assert_allclose(request.goal.position, [0.5, 0.123, 0.3], atol=1e-6)
+        tick, request = next(iter(requests(planner, 181, 210).items()))
+        assert request.effect_ns == (tick + 40) * TICK_NS
+        np.testing.assert_allclose(request.goal.position, [0.5, 0.1 + 1e-4 * (tick + 40), 0.3], atol=1e-6)
         np.testing.assert_allclose(request.goal.velocity, [0.0, 0.1, 0.0], atol=1e-6)
 
     def test_one_that_ends_is_held_where_it_was_last(self):
@@ -326,8 +326,7 @@ def test_a_goal_with_a_plan_stays_though_later_ones_are_not_found():
 
 
 def test_a_goal_that_proves_unreachable_on_the_way_is_refused_at_once():
-    planner = make(StayingCore(failing_after=1, error=UnreachableError))
-    planner.command(GOAL)
+    planner = begin(make(StayingCore(failing_after=1, error=UnreachableError)))
     planner.solve(planner.request(state(0)))
     assert fail(planner, 30, 1) == [GoalPhase.REFUSED]
     assert not planner.has_goal and "there is no way to the goal" in planner.goal_state.reason
