@@ -121,9 +121,12 @@ class Context:
 
     @property
     def goal_position(self) -> jax.Array:
-        """(3, H, 1) the goal at the ends of the knots, m."""
+        """(3, H, 1) the goal in the middle of each knot, m.
+
+        The next plan comes before a knot ends: a tip that is to be on a moving goal at the ends runs ahead of it.
+        """
         problem, knots = self.problem, self.rollout.contact.shape[0]
-        times = self.knot_duration * jnp.arange(1.0, knots + 1.0)
+        times = self.knot_duration * (0.5 + jnp.arange(knots, dtype=jnp.float32))
         return problem.goal_position[:, None] + jnp.asarray(problem.goal_velocity)[:, None] * times[:, None]
 
     @property
