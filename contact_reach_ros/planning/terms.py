@@ -98,6 +98,10 @@ there, and the search would need three times as many solver steps.
 """
 
 
+_AIM = 0.7
+"""Time in a knot at which a moving goal is where the tip is to be, as a share of the knot."""
+
+
 @dataclass(frozen=True, eq=False)
 class Context:
     """Inputs of a term."""
@@ -121,12 +125,12 @@ class Context:
 
     @property
     def goal_position(self) -> jax.Array:
-        """(3, H, 1) the goal in the middle of each knot, m.
+        """(3, H, 1) the goal that the tip is to be at when each knot ends, m: where it is a little earlier.
 
         The next plan comes before a knot ends: a tip that is to be on a moving goal at the ends runs ahead of it.
         """
         problem, knots = self.problem, self.rollout.contact.shape[0]
-        times = self.knot_duration * (0.5 + jnp.arange(knots, dtype=jnp.float32))
+        times = self.knot_duration * (_AIM + jnp.arange(knots, dtype=jnp.float32))
         return problem.goal_position[:, None] + jnp.asarray(problem.goal_velocity)[:, None] * times[:, None]
 
     @property
