@@ -21,13 +21,16 @@ QUALITY = ("POOR", "FAIR", "GOOD", "EXCELLENT")
 _GOOD = QUALITY.index("GOOD")
 COMMAND_MODE = ("NO_COMMAND_MODE", "POSITION", "WRENCH", "TORQUE")
 """What FRI takes from its client."""
+CONTROL_MODE = ("POSITION_CONTROL", "CARTESIAN_IMPEDANCE_CONTROL", "JOINT_IMPEDANCE_CONTROL", "NO_CONTROL")
+"""Of KUKA's controller, as LBRServer starts it."""
+_JOINT_IMPEDANCE = CONTROL_MODE.index("JOINT_IMPEDANCE_CONTROL")
 PLUGIN = "lbr_ros2_control::SystemInterface"
 """Hardware component of the driver, in its `robot_description`."""
 CONFIG = "lbr_system_config.yaml"
 """File of `lbr_description` with the settings of that component."""
 
 POSITION_TAU = 0.04
-"""Time constant with which the commanded position follows the arm, s: the default of the later driver."""
+"""Time constant with which the commanded position follows its target, s: the default of the later driver."""
 _CUTOFF, _TAU = "measured_torque_cutoff_frequency", "measured_torque_tau"
 
 _RATE_TOLERANCE = 0.01
@@ -208,13 +211,15 @@ class FriStates:
 
     Joint states have the robot's own time steps, on this machine's clock. FRI has no velocities: they are filtered
     differences of positions. The driver filters its torques; as its filter is known, that is undone, exactly, so that
-    the observer gets them as fresh as from any other arm. The commanded position follows the arm with `POSITION_TAU`:
-    KUKA's controller watches their difference.
+    the observer gets them as fresh as from any other arm. KUKA's controller watches the difference of commanded and
+    measured position: the target is as far ahead of a moving arm as the commanded position lags behind the target.
 
     Attributes
     ----------
     idle
         Why torques do not reach the arm, and KUKA's controller brakes it; empty if they do.
+    doubt
+        What is not as our page has it, although torques may be taken; empty if there is nothing.
     driver
         Settings of the driver; None before `describe`.
     """
@@ -225,6 +230,7 @@ class FriStates:
         self.idle = self._not_ready = (
             f"no state on {settings.driver}/state yet: start lbr_bringup, and LBRServer on the smartPAD"
         )
+        self.doubt = ""
         self._undescribed = f"no {settings.driver}/robot_description yet, which tells the driver's settings"
         self._check: StiffnessCheck | None = None
         self._arm, self._settings, self._period, self._is_simulated = arm, settings, period, is_simulated
@@ -325,11 +331,13 @@ class FriStates:
         return self._commanded + share * (self._target - self._commanded) if follows else q
 
     def _find_target(self, q: Array) -> Array:
-        wanted = q if self._check is None else q + self._check.offset
-        if self.driver is None or not self.driver.position_gain:
-            return wanted
-        # Each step adds p (target − q) to the commanded position.
-        return q + self._period / POSITION_TAU / self.driver.position_gain * (wanted - self._commanded)
+        if self.driver is None:
+            return q
+        gain = self.driver.position_gain
+        ahead = (POSITION_TAU if gain else self.driver.position_tau) * self._v
+        wanted = q + ahead if self._check is None or self._check.is_over else q + self._check.offset
+        # Each step of the driver of 2024 adds p (target − q) to the commanded position; later ones filter the target.
+        return q + self._period / POSITION_TAU / gain * (wanted - self._commanded) if gain else wanted
 
     def _clock_ahead(self, now_ahead_ns: int, elapsed: float) -> int:
         """How far this machine's clock is ahead of the robot's: as little as any message has shown, but for the drift.
@@ -348,8 +356,13 @@ class FriStates:
         self.idle = "" if session == len(SESSION) - 1 else f"the FRI session is {_name(SESSION, session)}"
         if self.idle:
             # LBRServer may come back with another stiffness.
-            self._check = None
+            self._check, self.doubt = None, ""
             return f"{self.idle}; expected {SESSION[-1]}: start LBRServer"
+        if message.control_mode != _JOINT_IMPEDANCE:
+            self.doubt = (
+                f"KUKA's control mode is {_name(CONTROL_MODE, message.control_mode)}; expected "
+                f"{CONTROL_MODE[_JOINT_IMPEDANCE]}: choose it on the smartPAD when LBRServer starts"
+            )
         if quality < _GOOD:
             return f"the FRI connection is {_name(QUALITY, quality)}; expected at least GOOD"
         if mode != COMMAND_MODE.index("TORQUE"):

@@ -70,6 +70,7 @@ class LbrTarget:
         self._node, self._settings = node, settings
         self._found = ""
         """Where a driver is, if not where it is looked for."""
+        self._doubt = ""
         self._command = LBRTorqueCommand()
         self._deactivated = ""
         self._switch = None
@@ -111,9 +112,13 @@ class LbrTarget:
         inbox.add(self._description, on_description, largest=_LARGEST_DESCRIPTION)
 
     def look(self) -> None:
-        """Look for the driver under other names, while there is no state; to be called a few times a second."""
+        """Look for a driver elsewhere, while there is no state, and log doubts; to be called a few times a second."""
         if self.states.idle and not self.states.has_states:
             self._found = self._find_elsewhere()
+        if self.states.doubt != self._doubt:
+            self._doubt = self.states.doubt
+            if self._doubt:
+                self._node.get_logger().warning(self._doubt)
 
     def prepare(self) -> bool:
         """Measure KUKA's stiffness, now that commands come; returns whether that needs harmless torques."""
@@ -146,9 +151,9 @@ class LbrTarget:
         """Do nothing: the driver has to be started again, with the application on the smartPAD."""
 
     def diagnosis(self) -> dict[str, Any]:
-        """The driver's generation."""
+        """The driver's generation, and what is doubtful."""
         driver = self.states.driver
-        return {"driver": "unknown" if driver is None else driver.generation}
+        return {"driver": "unknown" if driver is None else driver.generation, "doubt": self.states.doubt or "none"}
 
     def _find_elsewhere(self) -> str:
         """Where else states of a driver are published, in words; or that those here are of another type."""

@@ -106,6 +106,8 @@ def find(name: str) -> Topic | None:
     return next((topic for topic in ALL if name.endswith(f"/{topic.name}")), None)
 
 
+ALL_IS_WELL = "ok"
+"""Summary of a node in its diagnostics."""
 WAITING_FOR_STATE = "waiting for the first joint state"
 """Message of the planner's diagnostics before the first joint state."""
 WAITING_FOR_OBSTACLES = "waiting for the first obstacles"

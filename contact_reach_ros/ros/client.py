@@ -30,7 +30,7 @@ from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros.graph import goal_topic
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
-from contact_reach_ros.ros.interfaces import OBSERVER, OPERATOR, STOPPABLE
+from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, OPERATOR, STOPPABLE
 from contact_reach_ros.ros.process import bare_node, in_namespace
 
 PLANNER, CONTROLLER = "planner", "controller"
@@ -47,6 +47,8 @@ _FOLLOWED_S = 8.0
 """Longest time until diagnostics, which come once a second, show that the controller follows a goal's plans."""
 _COMPILED_S = 120.0
 """For a planner that has just been started, which compiles, and for the nodes that bring-up starts then."""
+_CHECKED_S = 20.0
+"""For an adapter that checks its drive first, also where simulated time is slow."""
 _SILENCE_S = 5.0
 _REST_S = 5.0
 """Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
@@ -297,6 +299,8 @@ class StackClient(Client):
         self.hear_stops()
         if self.stops:
             return Outcome(False, f"not sent, the arm is stopped: {self.why_stopped}; first: contact-reach reset")
+        if not self.until(lambda: self.summaries.get(ADAPTER, topics.ALL_IS_WELL) == topics.ALL_IS_WELL, _CHECKED_S):
+            return Outcome(False, f"not sent, the adapter passes no command on: {self.summaries[ADAPTER]}")
         before = self._plans_accepted()
         self.send_goal(position, rotation)
 

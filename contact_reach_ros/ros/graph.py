@@ -10,8 +10,11 @@ import os
 import time
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from copy import copy
 
+from rclpy.duration import Infinite
 from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -100,7 +103,7 @@ def mismatches(node: Node, heard: Iterable[Subscription], counts: dict[tuple[str
     requested: dict[str, list[QoSProfile]] = {}
     for each in heard:
         requested.setdefault(each.topic_name, []).append(each.qos_profile)
-    offered = {publisher.topic_name: [publisher.qos_profile] for publisher in node.publishers}
+    offered = {publisher.topic_name: [_offer(publisher)] for publisher in node.publishers}
     for profiles, count, look, what, remedy in (
         (requested, node.count_publishers, node.get_publishers_info_by_topic, "hears nothing from", "offer"),
         (offered, node.count_subscribers, node.get_subscriptions_info_by_topic, "is not heard by", "request at most"),
@@ -115,6 +118,13 @@ def mismatches(node: Node, heard: Iterable[Subscription], counts: dict[tuple[str
                     words = f"{own[0].reliability.name}, {own[0].durability.name}".lower().replace("_", " ")
                     why = found[0][1].strip().rstrip(";")
                     yield f"{name}: this node {what} {node_of(other)} ({why}); let that one {remedy} {words}"
+
+
+def _offer(publisher: Publisher) -> QoSProfile:
+    """What a publisher of ours offers, as the graph has it: durations that are not set are infinite."""
+    profile = copy(publisher.qos_profile)
+    profile.deadline = profile.liveliness_lease_duration = Infinite
+    return profile
 
 
 def running(node: Node, planned: Collection[str], own: Collection[str] = ()) -> list[str]:

@@ -21,6 +21,7 @@ from contact_reach_ros.errors import ContactReachError, InputError, StopCode, St
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import IntakeLog, Taken
 from contact_reach_ros.messages.topics import (
+    ALL_IS_WELL,
     DIAGNOSTICS,
     KEPT_STREAM,
     LOCKSTEP_HORIZON,
@@ -358,7 +359,7 @@ class ManagedNode(LifecycleNode):
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if summary else DiagnosticStatus.OK,
             name=self.get_name(),
-            message=summary or "ok",
+            message=summary or ALL_IS_WELL,
             values=[KeyValue(key=key, value=_text(value)) for key, value in {**values, **refused}.items()],
         )
         message = DiagnosticArray(status=[status])

@@ -83,6 +83,7 @@ def fri_message(step, torque=(0.0,) * 7, q=(0.0,) * 7, **fields):
             "session_state": 4,
             "connection_quality": 3,
             "client_command_mode": 3,
+            "control_mode": 2,
             "time_stamp_sec": seconds,
             "time_stamp_nano_sec": rest,
             "measured_joint_position": q,
@@ -128,6 +129,33 @@ def test_a_controller_manager_that_is_slower_than_fri_is_named():
     for step in range(1, 3000, 5):
         states.read(fri_message(step), 0)
     assert states.problem.startswith("states come every 10.0 ms, FRI sends every 2 ms: set update_rate")
+
+
+@pytest.mark.parametrize("generation", [OF_2024, LATER])
+def test_the_commanded_position_stays_at_an_arm_that_moves_fast(generation):
+    states, far = FriStates(ARM, LbrSettings(), 0.002, True), []
+    states.describe(description(generation), True)
+    commanded = np.zeros(7)
+    for step in range(1, 1000):
+        q = np.full(7, 0.5 * (1.0 - np.cos(0.008 * step)))
+        states.read(fri_message(step, q=q, commanded_joint_position=commanded), 0)
+        far.append(np.abs(commanded - q).max())
+        target = states.position_for(np.zeros(7))
+        share = 1.0 - np.exp(-0.002 / 0.04)
+        commanded = commanded + (0.1 * (target - q) if generation == OF_2024 else share * (target - commanded))
+    # At 2 rad/s it would lag behind by 0.08 rad.
+    assert max(far) < 0.005
+
+
+@pytest.mark.parametrize(
+    ("mode", "doubt"), [(2, ""), (0, "KUKA's control mode is POSITION_CONTROL; expected JOINT_"), (1, "CARTESIAN_")]
+)
+def test_another_control_mode_than_joint_impedance_is_doubtful_while_a_session_commands(mode, doubt):
+    states = FriStates(ARM, LbrSettings(), 0.002, True)
+    states.read(fri_message(1, control_mode=mode), 0)
+    assert doubt in states.doubt and bool(doubt) == bool(states.doubt)
+    states.read(fri_message(2, control_mode=mode, session_state=3), 0)
+    assert not states.doubt
 
 
 def behind_adapter(generation, stiffness=0.0, period=0.002, **config):
@@ -213,15 +241,15 @@ class BehindAdapter(Stack):
     """The stack with config/lbr.yaml, whose controller hears from the adapter whether commands pass."""
 
     def __init__(self, robot):
-        file = config_file("lbr.yaml")
+        file, arm = config_file("lbr.yaml"), robot.robot.plant.arm
         chosen = {
-            node: make_settings(parameters_in(file, node), SECTIONS[node], ARM, str(file))
+            node: make_settings(parameters_in(file, node), SECTIONS[node], arm, str(file))
             for node in ("controller", "observer")
         }
         controller = ControllerSettings.from_sections(chosen["controller"])
         supervision = dataclasses.replace(controller.supervision, adapter=True)
         super().__init__(
-            SCENE,
+            robot.robot.scene,
             planner=LineCore(),
             controller=dataclasses.replace(controller, supervision=supervision),
             observer=ObserverSettings.from_sections(chosen["observer"]),
@@ -237,9 +265,10 @@ class BehindAdapter(Stack):
 @pytest.mark.parametrize(
     ("generation", "config", "period"),
     [
-        (OF_2024, {}, 0.002),
-        (OF_2024, {"measured_torque_cutoff_frequency": 1.6}, 0.001),
-        (LATER, {}, 0.002),
+        pytest.param(OF_2024, {}, 0.002, marks=pytest.mark.slow),
+        pytest.param(OF_2024, {"measured_torque_cutoff_frequency": 1.6}, 0.001, marks=pytest.mark.slow),
+        pytest.param(LATER, {}, 0.002, marks=pytest.mark.slow),
+        (OF_2024, {}, 0.005),
         (LATER, {"measured_torque_tau": 0.016}, 0.005),
     ],
 )

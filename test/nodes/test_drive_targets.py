@@ -306,6 +306,15 @@ def test_a_wrong_setting_is_named_and_no_command_passes(bench, config, words):
     assert np.linalg.norm(kuka.robot.plant.tip_position - start) < 0.005
 
 
+def test_a_doubtful_control_mode_is_logged_once(bench, capfd):
+    kuka = BenchOnKuka(bench)
+    kuka.run(0.3, control_mode=0)
+    for _ in range(2):
+        bench.node._target.look()
+    assert capfd.readouterr().err.count("KUKA's control mode is POSITION_CONTROL") == 1
+    assert "POSITION_CONTROL" in bench.node.diagnosis()[1]["doubt"]
+
+
 def test_a_driver_in_another_namespace_is_named(bench):
     keep = bench.publish(bench.node._target._source._replace(name="left/lbr/state"))
     bench.until(lambda: bench.node._target.look() or "there is /left/lbr/state" in bench.node.diagnosis()[0], "found")

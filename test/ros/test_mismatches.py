@@ -76,7 +76,9 @@ def test_what_fits_is_no_mismatch(bench, qos):
     publishers = [
         bench.other.create_publisher(topic.type, topic.name, qos) for topic in (topics.OBSTACLES, topics.JOINT_STATES)
     ]
-    bench.until(lambda: all(publisher.get_subscription_count() for publisher in publishers))
+    own = bench.node.create_publisher(MarkerArray, "plan/markers", KEPT)
+    _subscription = bench.other.create_subscription(MarkerArray, "plan/markers", print, qos)
+    bench.until(lambda: all(publisher.get_subscription_count() for publisher in (*publishers, own)))
     assert bench.look() == []
 
 
