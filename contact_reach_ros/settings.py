@@ -199,7 +199,18 @@ def unknown_key(key: str, known: Mapping[str, Any] | Sequence[str], source: str,
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads the files of launch, too, which tags lists as Python's tuples, and numbers such as 1e-3, as ROS does."""
+    """Reads the files of launch, too, which tags lists as Python's tuples, and numbers such as 1e-3, as ROS does.
+
+    A key that is there twice is refused: ROS would merge its parts, and others would take the last one.
+    """
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys: list[str] = [key.value for key, _ in node.value if key.tag != "tag:yaml.org,2002:merge"]
+        for number, key in enumerate(keys):
+            if key in keys[:number]:
+                at = node.value[number][0].start_mark
+                raise yaml.MarkedYAMLError(problem=f"'{key}' is there twice; join its parts", problem_mark=at)
+        return super().construct_mapping(node, deep)
 
 
 _Loader.add_constructor("tag:yaml.org,2002:python/tuple", yaml.SafeLoader.construct_sequence)
