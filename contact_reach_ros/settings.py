@@ -6,6 +6,7 @@ all follow from this declaration, so they cannot disagree.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
 import itertools
@@ -139,6 +140,28 @@ def setting(default: Any, description: str, **declared: Any) -> Any:
     return dataclasses.field(default=default, metadata={_DECLARATION: Setting("", default, description, **declared)})
 
 
+class Problems:
+    """Settings errors in a context, raised as one at its end, with a line for each."""
+
+    def __init__(self) -> None:
+        self._lines: list[str] = []
+
+    @contextlib.contextmanager
+    def noted(self) -> Iterator[None]:
+        """Note a settings error and go on."""
+        try:
+            yield
+        except SettingsError as error:
+            self._lines.append(str(error))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._lines and kind is None:
+            raise SettingsError("\n".join(self._lines))
+
+
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """Base of the settings classes: frozen, and checked against its declarations on construction."""
@@ -176,13 +199,17 @@ class Settings:
         Raises
         ------
         SettingsError
-            On an unknown key or a value that is not accepted; the message names `source` (a file, a parameter prefix).
+            On unknown keys and values that are not accepted, all in one message, a line each, which names `source` (a
+            file, a parameter prefix).
         """
         known = {entry.name: entry for entry in cls.declared()}
-        for key in mapping:
-            if key not in known:
-                raise SettingsError(unknown_key(str(key), known, source))
-        return cls(**{key: known[key].check(value, f"{source}: {key}") for key, value in mapping.items()})
+        with Problems() as problems:
+            for key, value in mapping.items():
+                with problems.noted():
+                    if key not in known:
+                        raise SettingsError(unknown_key(str(key), known, source))
+                    known[key].check(value, f"{source}: {key}")
+        return cls(**mapping)
 
 
 Sections = Mapping[str, type[Settings]]
