@@ -6,6 +6,7 @@ all follow from this declaration, so they cannot disagree.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
 import itertools
@@ -139,6 +140,28 @@ def setting(default: Any, description: str, **declared: Any) -> Any:
     return dataclasses.field(default=default, metadata={_DECLARATION: Setting("", default, description, **declared)})
 
 
+class Problems:
+    """Settings errors in a context, raised as one at its end, with a line for each."""
+
+    def __init__(self) -> None:
+        self._lines: list[str] = []
+
+    @contextlib.contextmanager
+    def noted(self) -> Iterator[None]:
+        """Note a settings error and go on."""
+        try:
+            yield
+        except SettingsError as error:
+            self._lines.append(str(error))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._lines and kind is None:
+            raise SettingsError("\n".join(self._lines))
+
+
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """Base of the settings classes: frozen, and checked against its declarations on construction."""
@@ -176,13 +199,17 @@ class Settings:
         Raises
         ------
         SettingsError
-            On an unknown key or a value that is not accepted; the message names `source` (a file, a parameter prefix).
+            On unknown keys and values that are not accepted, all in one message, a line each, which names `source` (a
+            file, a parameter prefix).
         """
         known = {entry.name: entry for entry in cls.declared()}
-        for key in mapping:
-            if key not in known:
-                raise SettingsError(unknown_key(str(key), known, source))
-        return cls(**{key: known[key].check(value, f"{source}: {key}") for key, value in mapping.items()})
+        with Problems() as problems:
+            for key, value in mapping.items():
+                with problems.noted():
+                    if key not in known:
+                        raise SettingsError(unknown_key(str(key), known, source))
+                    known[key].check(value, f"{source}: {key}")
+        return cls(**mapping)
 
 
 Sections = Mapping[str, type[Settings]]
@@ -199,7 +226,18 @@ def unknown_key(key: str, known: Mapping[str, Any] | Sequence[str], source: str,
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads the files of launch, too, which tags lists as Python's tuples, and numbers such as 1e-3, as ROS does."""
+    """Reads the files of launch, too, which tags lists as Python's tuples, and numbers such as 1e-3, as ROS does.
+
+    A key that is there twice is refused: ROS would merge its parts, and others would take the last one.
+    """
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys: list[str] = [key.value for key, _ in node.value if key.tag != "tag:yaml.org,2002:merge"]
+        for number, key in enumerate(keys):
+            if key in keys[:number]:
+                at = node.value[number][0].start_mark
+                raise yaml.MarkedYAMLError(problem=f"'{key}' is there twice; join its parts", problem_mark=at)
+        return super().construct_mapping(node, deep)
 
 
 _Loader.add_constructor("tag:yaml.org,2002:python/tuple", yaml.SafeLoader.construct_sequence)

@@ -275,7 +275,7 @@ class Stack:
     def command(self, goal: Task) -> None:
         """Give a goal, or replace the current one; raises `InputError` if it cannot be reached."""
         self._resolve(goal)
-        self.planner.command(goal)
+        self.planner.command(goal, self.state.stamp_ns)
         self.failure = ""
 
     def stop(self, text: str = "stop requested") -> None:
@@ -467,6 +467,7 @@ def make_planner(
     budget: ContactBudget | None = None,
     unexpected_contact: UnexpectedContactSettings | None = None,
     solver: Callable[[CostFunction, int, PlanningSettings], Solver] | None = None,
+    deadline: float = 0.0,
 ) -> Planner:
     """Assemble a planner that makes plans by the package's own method.
 
@@ -482,12 +483,15 @@ def make_planner(
         Settings of the controller that follows the plans.
     solver
         Makes the solver from a cost, the number of its variables and the settings; None for Algorithm 1.
+    deadline
+        Wall-clock time that a plan may take, s, in place of that of `planning`, which is the nodes'; 0 for any, so that
+        plans do not depend on how fast the machine is.
     """
     # JAX takes a while to import.
     from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
     from contact_reach_ros.planning.solver.hybrid import HybridSolver
 
-    planning = planning or PlanningSettings()
+    planning = dataclasses.replace(planning or PlanningSettings(), deadline=deadline)
     controller = (controller or ControllerSettings()).resolve(arm)
     force = (budget or ContactBudget()).permitted_force
     core = RecedingHorizonPlanner(arm, planning, controller, force, capacity, solver or HybridSolver)

@@ -18,7 +18,7 @@ from contact_reach_ros.settings import setting
 @term("from_above_weight")
 def from_above(context: Context) -> jax.Array:
     """Distance of the tip below a cone that stands on the goal with its tip, m, (H, B)."""
-    offset = context.position[:, 1:] - context.problem.goal_position[:, None]
+    offset = context.position[:, 1:] - context.goal_position
     return jnp.maximum(jnp.sqrt(offset[0] ** 2 + offset[1] ** 2 + 1e-8) - offset[2], 0.0)
 
 

@@ -27,12 +27,10 @@ model = mujoco.MjModel.from_xml_string(build_mjcf(arm, obstacles=[ball]))
 data = mujoco.MjData(model)
 data.qpos[: arm.n] = arm.home
 
-# The deadline of plans is wall-clock time, which a simulation that waits for its plans does not need.
-planner = cr.make_planner(arm, capacity=1, planning=cr.PlanningSettings(deadline=0.0))
+planner = cr.make_planner(arm, capacity=1)
 controller = cr.Controller(arm, cr.ControllerSettings())
 observer = cr.Observer(arm, cr.ObserverSettings(), cr.ContactBudget())
 planner.core.warm_up(print)
-
 torque, pressed = None, 0.0
 for step in range(20_000):
     now_ns = step * round(model.opt.timestep * 1e9)

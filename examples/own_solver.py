@@ -50,6 +50,6 @@ class Mppi:
 
 
 scene = cr.load_scene("ball", arm=cr.load_arm("iiwa14"), seed=0)
-planner = cr.make_planner(scene.arm, 1, planning=cr.PlanningSettings(max_steps=10, deadline=0.0), solver=Mppi)
+planner = cr.make_planner(scene.arm, 1, planning=cr.PlanningSettings(max_steps=10), solver=Mppi)
 result = cr.Stack(scene, planner=planner).run(cr.Goal(scene.target))
 print(f"reached: {result.reached}, {result.duration:.2f} s, {result.plans} plans, {result.max_contact_force:.1f} N")

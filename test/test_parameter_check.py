@@ -140,3 +140,17 @@ def test_a_stack_takes_a_preset():
 def test_an_unknown_preset_is_refused_with_those_there_are():
     with pytest.raises(SettingsError, match="preset 'paper' is unknown; expected one of paper_linear, paper_hinge"):
         preset("paper")
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("controller: {ros__parameters: {rate: 1.0}}\ncontroller: {ros__parameters: {}}\n", "controller"),
+        ("observer:\n  ros__parameters:\n    safety: {debounce: 3}\n    safety: {debounce: 5}\n", "safety"),
+    ],
+)
+def test_what_is_there_twice_is_refused_and_not_read_in_part(tmp_path, text, key):
+    file = tmp_path / "twice.yaml"
+    file.write_text(text)
+    with pytest.raises(SettingsError, match=f"'{key}' is there twice"):
+        check_parameters(file, STACK)

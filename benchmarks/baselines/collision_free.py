@@ -151,7 +151,7 @@ class CollisionFreePlanner:
         """
         begin = time.perf_counter()
         q, v, state_ns, effect_ns, goal, spheres, *_ = request
-        if self._points is None or not goal.same_as(self._goal):
+        if self._points is None or not goal.is_near(self._goal):
             self.path = self._search(self._arm, q, goal, spheres, self._seed)
             self._points, self._goal, self._progress = _Points.along(self._arm, self.path.postures), goal, 0
         settings = self._settings

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from contact_reach_ros.bags.reader import BagReader
@@ -78,7 +79,7 @@ def bag_info(path: Path, file: Path | None) -> None:
     start_ns = info["start_ns"]
     began = datetime.fromtimestamp(start_ns / NANOSECONDS).isoformat(" ", "milliseconds") if start_ns else "-"
     console.print(
-        f"[bold]{info['path']}[/]: {info['message_count']} messages in {info['duration_s']:.3f} s from {began},"
+        f"[bold]{escape(info['path'])}[/]: {info['message_count']} messages in {info['duration_s']:.3f} s from {began},"
         f" {info['size'] / 1e6:.1f} MB",
         highlight=False,
     )

@@ -20,7 +20,7 @@ from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
-from contact_reach_ros.messages.values import goal_in, nanoseconds, numbers, read_settings
+from contact_reach_ros.messages.values import GOAL_PHASE, GOAL_STAMP, nanoseconds, numbers, read_settings
 from contact_reach_ros.timing import NANOSECONDS
 
 SETTINGS = "settings"
@@ -30,6 +30,7 @@ COMMANDS = ("adapter/commands", "effort_controller/commands")
 _ONLOOKERS = ("recorder", "viewer")
 """Nodes that may have been started apart from the stack, with another arm."""
 _SPARSE = {
+    "goal/state": "diagnostic_msgs/msg/DiagnosticStatus",
     "goal_pose": "geometry_msgs/msg/PoseStamped",
     "safety_state": "diagnostic_msgs/msg/DiagnosticStatus",
     "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
@@ -39,8 +40,9 @@ _SPARSE = {
 }
 """Types of the topics with few messages."""
 
-_SAME_GOAL = 1e-5
-"""Distance within which a goal and that of a plan, which is written with six digits, are the same, m."""
+_REFUSED = "refused"
+"""Phase of a goal that is not pursued."""
+
 _ROUNDING = 1e-9
 """Difference of two times that are equal except for rounding, s."""
 
@@ -256,7 +258,7 @@ def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
     safety_states = received("safety_state")
     settings = {status.name: read_settings(status) for _, status in received(SETTINGS)}
     plans = [plan for _, array in received("plan/statistics") for plan in _plans(clock, array)]
-    goals, refused_goals = _goals(received("goal_pose"), plans)
+    goals, refused_goals = _goals(received("goal_pose"), received("goal/state"), arm.base_frame)
     return EpisodeSignals(
         clock,
         Series(state_times, joints, state.values[:, :count]),
@@ -367,17 +369,21 @@ def _oddities(columns: Mapping[str, Column], commands: Mapping[str, Column]) -> 
         yield f"joint_states: has none of the joints {', '.join(dict.fromkeys(states.names))}: is it another robot's?"
 
 
-def _goals(messages: Sequence[tuple[float, Any]], plans: Sequence[PlanStatistics]) -> Iterator[Series]:
-    """Yield the goals that were not refused, and the others."""
-    places = [message.pose.position for _, message in messages]
+def _goals(
+    goals: Sequence[tuple[float, Any]], states: Sequence[tuple[float, Any]], base_frame: str
+) -> Iterator[Series]:
+    """Yield the goals that were not refused, and the others; those in other frames come again, transformed."""
+    goals = [(time, message) for time, message in goals if message.header.frame_id in ("", base_frame)]
+    times, places = np.array([time for time, _ in goals]), [message.pose.position for _, message in goals]
+    stamps_ns = np.array([str(nanoseconds(message.header.stamp)) for _, message in goals])
     positions = np.array([(place.x, place.y, place.z) for place in places]).reshape(-1, 3)
-    times = np.array([time for time, _ in messages])
-    planned = [goal for plan in plans if (goal := goal_in(plan.numbers)) is not None]
     kept = np.isfinite(positions).all(axis=1)
-    # Bags of earlier versions do not name the goals of plans.
-    if planned:
-        away = np.abs(positions[:, None] - np.unique(np.stack(planned), axis=0)).max(axis=2)
-        kept &= (away < _SAME_GOAL).any(axis=1)
+    for time, message in states:
+        values = {entry.key: entry.value for entry in message.values}
+        sent = np.flatnonzero(stamps_ns == values.get(GOAL_STAMP, ""))
+        if values.get(GOAL_PHASE) == _REFUSED and len(sent):
+            # Stamps may be zero.
+            kept[sent[np.abs(times[sent] - time).argmin()]] = False
     for some in (kept, ~kept):
         yield Series(times[some], ("x", "y", "z"), positions[some])
 

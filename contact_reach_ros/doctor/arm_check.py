@@ -32,14 +32,14 @@ def check_arm(name: str, table: Path | None = None) -> None:
     table
         File to write the arm's table to; none is written by default.
     """
-    console = Console()
+    console = Console(markup=False)
     is_file = name.lower().endswith(ENDINGS)
     arm, fits, assumed, doubts = read_arm_file(Path(name)) if is_file else Reading(load_arm(name), {}, [], [])
     console.print(
         f"arm '{arm.name}': {arm.n} joints from {arm.base_frame} to {arm.tip_frame}, reach {arm.reach:g} m around "
         f"{list(arm.shoulder)} m"
     )
-    console.print(in_words(arm), markup=False)
+    console.print(in_words(arm))
     console.print(f"task: {arm.task}, the most that its {arm.n} joints can hold ({TASK_ROWS[arm.task]} of 6 rows)")
     console.print(_joints(arm))
     capsules = Table("capsule on", "radius m", "length m", "volume / hull")
@@ -53,7 +53,6 @@ def check_arm(name: str, table: Path | None = None) -> None:
         console.print(
             f"poor fit: the capsule on {link} has more than {POOR:g} times the volume of its shapes; give several "
             f"under capsules ({{{link}: [{{start: ..., end: ..., radius: ...}}, ...]}})",
-            markup=False,
         )
     if overlapping := overlapping_pairs(arm):
         depths = -1000.0 * pair_distances(arm, np.array([arm.home]), np.array(overlapping))[0]
@@ -64,15 +63,14 @@ def check_arm(name: str, table: Path | None = None) -> None:
         console.print(
             f"not kept apart, since their capsules overlap at home: {', '.join(pairs)}; give another home or tighter "
             "capsules",
-            markup=False,
         )
     for line in assumed:
-        console.print(f"assumed: {line}", markup=False)
+        console.print(f"assumed: {line}")
     for line in doubts:
-        console.print(f"doubtful: {line}", markup=False, style="yellow")
+        console.print(f"doubtful: {line}", style="yellow")
     if table is not None:
         write_text(table, table_text(arm))
-        console.print(f"table: {table}", markup=False)
+        console.print(f"table: {table}")
 
 
 def _joints(arm: Arm) -> Table:

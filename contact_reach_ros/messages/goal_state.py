@@ -11,9 +11,10 @@ from contact_reach_ros.arm import Arm
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.conversions import to_status
 from contact_reach_ros.messages.safety_state import OK, WARN
+from contact_reach_ros.messages.values import GOAL_PHASE, GOAL_STAMP
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 
-_STAMP, _PHASE, _REASON = "goal stamp ns", "phase", "reason"
+_REASON = "reason"
 _DISTANCE, _ANGLE, _ELAPSED = "distance m", "angle rad", "elapsed s"
 
 
@@ -30,8 +31,8 @@ def describe(state: GoalState) -> str:
 def to_goal_state(state: GoalState, stamp_ns: int, name: str, arm: Arm) -> DiagnosticStatus:
     """The message of the node `name` about the goal with this stamp, ns."""
     values = {
-        _STAMP: stamp_ns,
-        _PHASE: state.phase.value,
+        GOAL_STAMP: stamp_ns,
+        GOAL_PHASE: state.phase.value,
         _DISTANCE: f"{state.distance:.6g}",
         _ANGLE: f"{state.angle:.6g}",
         _ELAPSED: f"{state.elapsed:.3f}",
@@ -45,6 +46,7 @@ def read_goal_state(message: Any) -> tuple[int, GoalState]:
     values = {item.key: item.value for item in message.values}
     try:
         distance, angle, elapsed = (float(values[key]) for key in (_DISTANCE, _ANGLE, _ELAPSED))
-        return int(values[_STAMP]), GoalState(GoalPhase(values[_PHASE]), values[_REASON], distance, angle, elapsed)
+        phase, reason = GoalPhase(values[GOAL_PHASE]), values[_REASON]
+        return int(values[GOAL_STAMP]), GoalState(phase, reason, distance, angle, elapsed)
     except (KeyError, ValueError) as error:
         raise InputError(f"goal/state: {error}; expected the values that the planner publishes") from error

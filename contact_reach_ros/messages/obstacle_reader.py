@@ -68,6 +68,10 @@ class _Marker(NamedTuple):
     text: str
 
 
+_Body = tuple[int, str]
+"""Id of a body, and its namespace if that is none of `_OF_BODIES`."""
+
+
 class ObstacleMarkerReader:
     """Reads spheres, the edges between them, and rigid bodies from marker arrays.
 
@@ -89,7 +93,7 @@ class ObstacleMarkerReader:
         self.stamp_ns: int | None = None
         self._frame = frame
         self._settings = settings or PlannerNodeSettings()
-        self._rests: dict[int, Array] = {}
+        self._rests: dict[_Body, Array] = {}
 
     def read(self, data: bytes) -> Spheres:
         """The spheres of a MarkerArray: in the order of their ids, and of each body the nodes that can move first.
@@ -109,27 +113,28 @@ class ObstacleMarkerReader:
             markers = [_next_marker(cursor) for _ in range(cursor.count())]
         except (struct.error, ValueError) as error:
             raise no_message(data, "MarkerArray", "obstacles", error) from error
-        bodies: dict[int, dict[str, _Marker]] = {}
+        bodies: dict[_Body, dict[str, _Marker]] = {}
         environment: list[RigidBody] = []
-        seen: set[tuple[str, int]] = set()
+        seen: set[tuple[bool, str, int]] = set()
         for marker in markers:
             if marker.frame != self._frame:
                 raise FrameError(f"obstacles: header.frame_id is '{marker.frame}'; expected '{self._frame}'")
             # Spheres may be in any other namespace too, as perception calls them.
-            kind = marker.namespace if marker.namespace in _OF_BODIES else OBSTACLES
-            key = (f"CUBE {marker.namespace}" if marker.type == _CUBE else kind, marker.id)
+            is_own = marker.namespace in _OF_BODIES
+            kind, body = marker.namespace if is_own else OBSTACLES, (marker.id, "" if is_own else marker.namespace)
+            key = marker.type == _CUBE, marker.namespace, marker.id
             if key in seen:
                 raise _refusal(marker, "comes twice; expected each namespace and id once")
             seen.add(key)
             if marker.type == _CUBE:
                 environment.append(_rigid_body(marker))
             else:
-                bodies.setdefault(marker.id, {})[kind] = _checked(marker, kind)
+                bodies.setdefault(body, {})[kind] = _checked(marker, kind)
         rests = self._rests | {number: body[REST].points for number, body in bodies.items() if REST in body}
         parts, count = [_NO_SPHERES], 0
-        for number, body in sorted(bodies.items()):
-            if body.keys() != {REST}:
-                parts.append(self._spheres(number, body, rests, count))
+        for name, parts_of_it in sorted(bodies.items()):
+            if parts_of_it.keys() != {REST}:
+                parts.append(self._spheres(name, parts_of_it, rests, count))
                 count += len(parts[-1]["center"])
         self._rests = rests
         columns = {name: np.concatenate([part[name] for part in parts]) for name in _NO_SPHERES}
@@ -137,10 +142,13 @@ class ObstacleMarkerReader:
         self.stamp_ns = min((marker.stamp_ns for marker in markers if marker.stamp_ns), default=None)
         return spheres
 
-    def _spheres(self, number: int, body: dict[str, _Marker], rests: dict[int, Array], first: int) -> dict[str, Array]:
+    def _spheres(
+        self, name: _Body, body: dict[str, _Marker], rests: dict[_Body, Array], first: int
+    ) -> dict[str, Array]:
         """Fields of `Spheres` for one body, whose first sphere is number `first`; adds an unknown rest to `rests`."""
+        number = name[0]
         movable, fixed = (body[kind].points if kind in body else np.zeros((0, 3)) for kind in (OBSTACLES, FIXED))
-        rest = rests.setdefault(number, movable)
+        rest = rests.setdefault(name, movable)
         if len(rest) != len(movable):
             raise InputError(
                 f"obstacles: marker {REST}/{number} has {len(rest)} points; expected {len(movable)}, one for each "

@@ -55,10 +55,11 @@ def request_parts(number: int, request: Request, memory: Memory | None, found: A
         parts["last goal"] = _goal_numbers(memory.request.goal)
         parts["last effect"] = np.array([memory.request.effect_ns - request.state_ns])
         parts["best"] = memory.best
-        parts["approach"] = np.array(memory.approach)
+        parts["approach"] = np.array([*memory.approach.position, memory.approach.share])
         detour = memory.request.detour
         if detour is not None:
-            parts["detour"] = np.array([*detour[:-1], *np.ravel(detour.postures)])
+            progress = detour.waited, detour.number, detour.is_on
+            parts["detour"] = np.array([*progress, *detour.nearest, *np.ravel(detour.postures)])
         for index, trajectory in enumerate(_in_force(memory.trajectories, request.state_ns)):
             parts[f"{_TRAJECTORY}{index}"] = _trajectory_numbers(trajectory, request.state_ns)
     return {name: np.ravel(values).astype(float) for name, values in parts.items()}
@@ -91,25 +92,26 @@ def read_memory(parts: Parts, request: Request, knot_duration_s: float, ramp_s: 
     )
     detour = None
     if "detour" in parts:
-        least, waited, number, is_on, arrived, *numbers = parts["detour"].tolist()
-        postures = np.reshape(numbers, (-1, len(request.q)))
-        detour = Detour(least, waited, int(number), bool(is_on), bool(arrived), postures)
+        waited, number, is_on, *numbers = parts["detour"].tolist()
+        nearest, *postures = np.reshape(numbers, (-1, len(request.q)))
+        detour = Detour(nearest, waited, int(number), bool(is_on), np.array(postures))
     effect_ns = trajectories[-1].effect_ns
     if "last effect" in parts:
         effect_ns = request.state_ns + int(parts["last effect"][0])
     last = request._replace(effect_ns=effect_ns, goal=_goal(parts["last goal"]), detour=detour)
-    approach, plans = Approach(*parts["approach"].tolist()), int(parts["plans since reset"][0])
+    *position, share = parts["approach"].tolist()
+    approach, plans = Approach(np.array(position), share), int(parts["plans since reset"][0])
     return Memory(trajectories, last, parts["best"], None, approach, plans)
 
 
 def _goal_numbers(goal: Target) -> Array:
     rotation = np.zeros(0) if goal.rotation is None else np.ravel(goal.rotation)
-    return np.concatenate([[goal.only_axis], goal.position, rotation])
+    return np.concatenate([[goal.only_axis], goal.position, goal.velocity, rotation])
 
 
 def _goal(numbers: Array) -> Target:
-    rotation = numbers[4:].reshape(3, 3) if len(numbers) > 4 else None
-    return Target(numbers[1:4], rotation, bool(numbers[0]))
+    rotation = numbers[7:].reshape(3, 3) if len(numbers) > 7 else None
+    return Target(numbers[1:4], rotation, bool(numbers[0]), numbers[4:7])
 
 
 def _in_force(trajectories: tuple[ReferenceTrajectory, ...], state_ns: int) -> tuple[ReferenceTrajectory, ...]:

@@ -19,6 +19,9 @@ LATEST_S = 2**31 - 3600
 FARTHEST = 1e3
 """Of what is drawn, m."""
 
+GOAL_STAMP, GOAL_PHASE = "goal stamp ns", "phase"
+"""Keys of goal/state: the stamp of the goal, and its phase."""
+
 _GOAL = ("goal x m", "goal y m", "goal z m")
 """Keys of a plan's goal in plan/statistics."""
 
@@ -83,11 +86,14 @@ def goal_in(values: Mapping[str, float]) -> Array | None:
 def places_of(joints: Sequence[str], names: Sequence[str], topic: str) -> NDArray[np.intp]:
     """Where the wanted joints stand among the names in a message, whose order may be any.
 
-    Raises `InputError` if joints are missing; topic, field and the missing names are given.
+    Raises `InputError` if joints are missing; topic, field, the missing names and those that are there are given.
     """
     missing = [joint for joint in joints if joint not in names]
     if missing:
-        raise InputError(f"{topic}: field name lacks {', '.join(missing)}; expected all of {', '.join(joints)}")
+        found = ", ".join(names) or "no name"
+        raise InputError(
+            f"{topic}: field name lacks {', '.join(missing)}: it has {found}; expected all of {', '.join(joints)}"
+        )
     return np.array([names.index(joint) for joint in joints], np.intp)
 
 

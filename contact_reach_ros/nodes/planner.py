@@ -184,8 +184,7 @@ class PlannerNode(ManagedNode):
                 "took ms": took_ns / 1e6,
                 "contact share": found.approach.share,
             }
-            if self._planner.goal is not None:
-                values |= goal_values(self._planner.goal.position)
+            values |= goal_values(request.goal.position)
             # The planner has already counted this plan; an arm that jumped made it forget what it had.
             self._output.record(plan, request, memory if found.plans > 1 else None, found, values)
 
@@ -198,6 +197,7 @@ class PlannerNode(ManagedNode):
         self._detour = number
 
     def _on_goal(self, message: PoseStamped) -> None:
+        """Take a goal; one that goes on with a stream is neither counted nor logged."""
         stamp_ns, before = nanoseconds(message.header.stamp), self._planner.goal_state
         try:
             self._planner.start_of(stamp_ns)
@@ -212,15 +212,17 @@ class PlannerNode(ManagedNode):
             for name, why in self._stops.items():
                 # The arm would move as soon as it is reset.
                 raise InputError(f"goal: {name} has stopped the arm ({why}); first: contact-reach reset")
-            self._planner.command(goal, stamp_ns)
+            goes_on = self._planner.command(goal, stamp_ns)
         except InputError as error:
             self._output.report_goal(GoalState(GoalPhase.REFUSED, str(error)), stamp_ns)
             raise
+        last_ns, self._goal_ns = self._goal_ns, stamp_ns
+        if goes_on:
+            return
         if before is not None and before.phase.is_open:
             replaced = before._replace(phase=GoalPhase.WITHDRAWN, reason="another goal has replaced it")
-            self._output.report_goal(replaced, self._goal_ns)
-        self._goal_ns = stamp_ns
-        self._output.follow_goal(self._planner, self._goal_ns)
+            self._output.report_goal(replaced, last_ns)
+        self._output.follow_goal(self._planner, stamp_ns, is_new=True)
         self._goals += 1
         self.get_logger().info(f"goal {self._goals}: {np.round(np.asarray(goal.position), 3).tolist()} m")
 

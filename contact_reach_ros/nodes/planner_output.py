@@ -34,7 +34,7 @@ class PlannerOutput:
         self._statistics = node.make_publisher(topics.PLAN_STATISTICS)
         self._requests = node.make_publisher(topics.PLAN_REQUEST)
         self._markers_due_ns = 0
-        self._reported: tuple[int, GoalPhase] | None = None
+        self._reported: GoalPhase | None = None
         self._goal_state_due_ns = 0
 
     def publish(self, plan: Plan) -> None:
@@ -84,17 +84,16 @@ class PlannerOutput:
 
     def report_goal(self, state: GoalState, stamp_ns: int) -> None:
         """Publish what happened to a goal that was sent at `stamp_ns`."""
-        self._reported = None
+        self._reported = state.phase
         self._goal_states.publish(to_goal_state(state, stamp_ns, self._name, self._arm))
 
-    def follow_goal(self, planner: Planner, stamp_ns: int) -> None:
+    def follow_goal(self, planner: Planner, stamp_ns: int, is_new: bool = False) -> None:
         """Publish what happened to the goal, sent at `stamp_ns`, when that changes; on its way some times a second."""
         state, now_ns = planner.goal_state, 0 if planner.state is None else planner.state.stamp_ns
         if state is None:
             return
-        phase = (stamp_ns, state.phase)
         # Also after the clock was set back.
         is_due = not 0 < self._goal_state_due_ns - now_ns <= _GOAL_STATE_EVERY_NS
-        if phase != self._reported or (state.phase.is_open and is_due):
+        if is_new or state.phase is not self._reported or (state.phase.is_open and is_due):
             self.report_goal(state, stamp_ns)
-            self._reported, self._goal_state_due_ns = phase, now_ns + _GOAL_STATE_EVERY_NS
+            self._goal_state_due_ns = now_ns + _GOAL_STATE_EVERY_NS

@@ -59,16 +59,14 @@ _CANDIDATES, _STATIONS = 24, 12
 class Detour(NamedTuple):
     """Progress towards a goal and on the detours to it."""
 
-    least: float
-    """Least distance so far: in m and `_METRES_PER_RADIAN` from the goal, or in rad from the posture."""
+    nearest: Array
+    """(n,) rad, where the arm was nearest so far, to the goal or on a detour to its posture: goals may move."""
     waited: float
     """Time since then, s."""
     number: int
     """Searches for a posture so far; each begins from others."""
     is_on: bool
     """Whether the arm is on a detour."""
-    arrived: bool
-    """Whether it has been at the goal: one that is pushed away then stays in its posture."""
     postures: Array
     """(k, n) rad: that of the arm at first, or of its last detour; without free dimensions of all detours so far."""
 
@@ -113,8 +111,8 @@ class Detours:
         settings = self.settings
         if settings.detour_patience == 0.0:
             return request
-        if last is None or last.detour is None or not request.goal.same_as(last.goal):
-            return request._replace(detour=Detour(np.inf, 0.0, 0, False, False, request.q[None]))
+        if last is None or last.detour is None or not request.goal.is_near(last.goal):
+            return request._replace(detour=Detour(request.q, 0.0, 0, False, request.q[None]))
         # Without a plan in force the arm cannot make progress.
         elapsed = min((request.effect_ns - last.effect_ns) * 1e-9, settings.horizon * settings.knot_duration)
         goal = request.goal if settings.orientation_weight else Target(request.goal.position)
@@ -123,20 +121,22 @@ class Detours:
     def _follow(self, detour: Detour, request: Request, elapsed: float) -> Detour:
         """The progress `elapsed` seconds later."""
         q, patience = request.q, self.settings.detour_patience
-        distance, offset, angle = _distance(self.arm, q, request.goal)
-        remaining = float(np.linalg.norm(q - detour.posture)) if detour.is_on else distance
+        (now, offset, angle), least = (_distance(self.arm, each, request.goal) for each in (q, detour.nearest))
+        # One that has been at the goal, and is pushed away, stays in its posture.
+        is_there, was_there = _is_there(offset, angle), _is_there(*least[1:])
+        remaining, before = now, least[0]
+        if detour.is_on:
+            remaining, before = (float(np.linalg.norm(each - detour.posture)) for each in (q, detour.nearest))
         # Less is expected of a slow arm.
-        if remaining < detour.least - request.speed_scale * _SPEEDS[detour.is_on] * patience:
-            detour = detour._replace(least=remaining, waited=0.0)
+        if remaining < before - request.speed_scale * _SPEEDS[detour.is_on] * patience:
+            detour = detour._replace(nearest=q, waited=0.0)
         else:
             detour = detour._replace(waited=detour.waited + elapsed)
-        is_there = offset < _THERE[0] and angle < _THERE[1]
         is_bound, is_late = _is_bound(self.arm, request.goal), detour.waited >= patience
-        if detour.is_on and (remaining < _NEAR or is_there or (is_bound and is_late)):
+        if is_there or (detour.is_on and (remaining < _NEAR or (is_bound and is_late))):
             # With few postures at the goal, the arm goes for it from wherever the way to one has led.
-            detour = detour._replace(least=distance, waited=0.0, is_on=False)
-        detour = detour._replace(arrived=detour.arrived or is_there)
-        if detour.waited < patience or detour.arrived:
+            detour = detour._replace(nearest=q, waited=0.0, is_on=False)
+        if detour.waited < patience or was_there:
             return detour
         posture = self._choose(request, detour)
         if posture is None:
@@ -147,10 +147,10 @@ class Detours:
                     f"{len(detour.postures) - 1}: joint limits, singularities, or the arm itself are in the way; give "
                     "another orientation, leave it free, or give a goal on the way first"
                 )
-            return detour._replace(least=distance, waited=0.0, number=detour.number + 1, is_on=False)
+            return detour._replace(nearest=q, waited=0.0, number=detour.number + 1, is_on=False)
         earlier = detour.postures if is_bound else detour.postures[:0]
         postures = np.concatenate([earlier, posture[None]])
-        return Detour(float(np.linalg.norm(posture - q)), 0.0, detour.number + 1, True, False, postures)
+        return Detour(q, 0.0, detour.number + 1, True, postures)
 
     def _choose(self, request: Request, detour: Detour) -> Array | None:
         """The posture that costs least to get to: 1 for each radian, and 1 for each ε of the force on the way.
@@ -183,6 +183,10 @@ def _distance(arm: Arm, q: Array, goal: Target) -> tuple[float, float, float]:
     rotations, origins = link_frames(arm, q)
     offset, angle = float(np.linalg.norm(origins[-1] - goal.position)), goal.angle(rotations[-1])
     return offset + _METRES_PER_RADIAN * angle, offset, angle
+
+
+def _is_there(offset: float, angle: float) -> bool:
+    return offset < _THERE[0] and angle < _THERE[1]
 
 
 def _is_bound(arm: Arm, goal: Target) -> bool:

@@ -1,4 +1,4 @@
-"""Progress towards a goal: accepted, running, reached, settled, or ended in another way."""
+"""Progress towards a goal: accepted, running, following, reached, settled, or ended in another way."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ class GoalPhase(Enum):
     ACCEPTED = "accepted"
     """There is no plan for it yet."""
     RUNNING = "running"
+    FOLLOWING = "following"
+    """The goal moves, and the arm with it."""
     REACHED = "reached"
     """The tip is or was there, but has not settled."""
     SETTLED = "settled"
@@ -32,7 +34,7 @@ class GoalPhase(Enum):
     @property
     def is_open(self) -> bool:
         """Whether the goal is pursued and has not settled."""
-        return self in (GoalPhase.ACCEPTED, GoalPhase.RUNNING, GoalPhase.REACHED)
+        return self in (GoalPhase.ACCEPTED, GoalPhase.RUNNING, GoalPhase.FOLLOWING, GoalPhase.REACHED)
 
     @property
     def is_over(self) -> bool:
@@ -70,6 +72,8 @@ class GoalProgress:
         self._begun_ns: int | None = None
         self._there_ns: int | None = None
         """Since when the tip has been there, at rest."""
+        self._goes_on = False
+        """Whether another goal of a stream has come since the last state."""
 
     def update(self, target: Target, position: Array, rotation: Array, speed: float, stamp_ns: int) -> None:
         """Take the tip's pose, in the base frame, and its speed, m/s, at a time, ns."""
@@ -77,18 +81,26 @@ class GoalProgress:
         if self._begun_ns is None or stamp_ns < self._begun_ns:
             self._begun_ns = stamp_ns
             self._there_ns = None
-        if phase.is_open:
-            elapsed = (stamp_ns - self._begun_ns) / NANOSECONDS
-            if not self._task.settled(position, rotation, speed, target):
+        if phase.is_open or self._goes_on:
+            elapsed, self._goes_on = (stamp_ns - self._begun_ns) / NANOSECONDS, False
+            if target.moves or not self._task.settled(position, rotation, speed, target):
                 self._there_ns = None
             elif self._there_ns is None or stamp_ns < self._there_ns:
                 self._there_ns = stamp_ns
-            if self._there_ns is not None and stamp_ns - self._there_ns >= SETTLE_NS:
+            if target.moves:
+                phase = GoalPhase.FOLLOWING
+            elif self._there_ns is not None and stamp_ns - self._there_ns >= SETTLE_NS:
                 phase = GoalPhase.SETTLED
             elif self._task.reached(position, target):
                 phase = GoalPhase.REACHED
+            elif phase in (GoalPhase.FOLLOWING, GoalPhase.SETTLED):
+                phase = GoalPhase.RUNNING
         distance = float(np.linalg.norm(position - target.position))
         self.state = GoalState(phase, self.state.reason, distance, target.angle(rotation), elapsed)
+
+    def go_on(self, task: Task) -> None:
+        """Take the next goal of a stream, which may have left an arm behind that had settled."""
+        self._task, self._goes_on = task, not self.state.phase.is_over
 
     def planned(self) -> None:
         """Note that there is a plan."""

@@ -126,7 +126,7 @@ class Request(NamedTuple):
     effect_ns: int
     """Time at which the plan takes effect, ns; not before `state_ns`."""
     goal: Target
-    """Target of the flange."""
+    """Target of the flange, where it is at `effect_ns` if it moves."""
     spheres: Spheres
     """Obstacles at `state_ns`."""
     speed_scale: float = 1.0
@@ -141,7 +141,7 @@ class Request(NamedTuple):
 
     def continues(self, last: Request) -> bool:
         """Whether the plan minimises what the last one did."""
-        return self.goal.same_as(last.goal) and self.on_detour == last.on_detour
+        return self.goal.is_near(last.goal) and self.on_detour == last.on_detour
 
 
 class PlanningCore(Protocol):

@@ -15,6 +15,7 @@ from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import describe_contact
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress, GoalState
+from contact_reach_ros.planning.goal_stream import GoalStream
 from contact_reach_ros.planning.plan import Plan, PlanningCore, Request
 from contact_reach_ros.planning.settings import GIVE_WAY, ReplanningSettings, UnexpectedContactSettings
 from contact_reach_ros.planning.unexpected_contact import Explanation
@@ -100,7 +101,7 @@ class Planner:
     Attributes
     ----------
     goal
-        Target of the goal in force; None while there is none, and always before the first joint state.
+        Target of the goal in force as it was given; None while there is none, and always before the first joint state.
     plan
         The last plan; None before the first and after the goal was withdrawn.
     state
@@ -161,13 +162,16 @@ class Planner:
         self.settings = settings
         self._took_ns = deque([settings.latency_ns], _RECENT)
         self._refuse = refuse
+        self._stream = GoalStream()
         self._progress: GoalProgress | None = None
         self._failures = 0
         """Number of plans for the goal that were not found."""
         self.obstacles = KnownObstacles(settings.max_obstacle_age, settings.require_obstacles)
 
-    def command(self, goal: Task, sent_ns: int = 0) -> None:
-        """Take a goal that was sent at `sent_ns`, as `start_of` has it.
+    def command(self, goal: Task, sent_ns: int = 0) -> bool:
+        """Take a goal that was sent at `sent_ns`, as `start_of` has it; returns whether it goes on with a stream.
+
+        Goals that follow each other soon and nearby are a stream: one goal that moves, see `GoalStream`.
 
         Raises
         ------
@@ -181,9 +185,14 @@ class Planner:
         if problem:
             raise InputError(problem)
         self.goal = target
-        self._failures = 0
-        self._unexpected_ns = None
-        self._progress = GoalProgress(goal)
+        goes_on = self._stream.take(target, min(sent_ns or state.stamp_ns, state.stamp_ns))
+        if goes_on and self._progress is not None:
+            self._progress.go_on(goal)
+        else:
+            self._failures = 0
+            self._unexpected_ns = None
+            self._progress = GoalProgress(goal)
+        return goes_on
 
     def start_of(self, sent_ns: int = 0) -> JointState:
         """The joint state that a goal starts from: goals never wait for one, as the arm would move unexpectedly.
@@ -228,6 +237,7 @@ class Planner:
         if self._progress is not None:
             self._progress.end(phase, reason)
         self.goal = self.plan = None
+        self._stream.end()
         if self.core is not None:
             self.core.reset()
 
@@ -287,7 +297,8 @@ class Planner:
             self._refuse("plans", InputError(problem))
             return None
         effect_ns = stamp_ns + self._latency_ns
-        return Request(q, v, stamp_ns, effect_ns, self.goal, self.obstacles.spheres, self.speed_scale)
+        goal = self._stream.at(effect_ns, stamp_ns)
+        return Request(q, v, stamp_ns, effect_ns, goal, self.obstacles.spheres, self.speed_scale)
 
     def solve(self, request: Request) -> Plan:
         """Make the plan that was requested.
@@ -337,16 +348,21 @@ class Planner:
         model = self._model
         model.update(state.q, state.v)
         speed = float(np.linalg.norm(model.twist[:3]))
-        self._progress.update(self.goal, model.position, model.rotation, speed, state.stamp_ns)
+        self._progress.update(
+            self._stream.at(state.stamp_ns, state.stamp_ns), model.position, model.rotation, speed, state.stamp_ns
+        )
 
     def resolve(self, goal: Task, state: JointState) -> Target:
         """The pose to plan for, without the part of the orientation that law (1) leaves to the null space.
+
+        A goal that holds the orientation holds that of the goal in force, from which the arm may be turned, if any.
 
         Raises
         ------
         InputError
             If the goal cannot be reached, see `Task.resolve` and `check_goal`.
         """
-        target = goal.resolve(self._arm, self._model.tip_pose(state.q)[1]).of_task(self._task)
+        held = None if self.goal is None else self.goal.rotation
+        target = goal.resolve(self._arm, self._model.tip_pose(state.q)[1] if held is None else held).of_task(self._task)
         check_goal(self._arm, target, self.obstacles.spheres.environment, state.q)
         return target

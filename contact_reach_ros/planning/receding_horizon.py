@@ -251,14 +251,15 @@ class RecedingHorizonPlanner:
 
     def _approach_of(self, plan: Plan, request: Request) -> Approach:
         """Progress towards the goal when the plan takes effect."""
-        distance, memory = math.dist(plan.predicted_positions[0], request.goal.position), self.memory
-        if memory is None or not request.goal.same_as(memory.request.goal) or request.on_detour:
-            return Approach(distance)
+        position, memory = plan.predicted_positions[0], self.memory
+        if memory is None or not request.goal.is_near(memory.request.goal) or request.on_detour:
+            return Approach(position)
         settings = self._settings
         elapsed = (plan.effect_ns - memory.trajectories[-1].effect_ns) * 1e-9
         is_firm = bool((plan.predicted_contact_forces > self._permitted_force).any())
         least_speed = plan.speed_scale * LEAST_SPEED * self._speed
-        return memory.approach.updated(distance, elapsed, settings.contact_patience, least_speed, is_firm)
+        goal, patience = request.goal.position, settings.contact_patience
+        return memory.approach.updated(position, goal, elapsed, patience, least_speed, is_firm)
 
     def _joints(self, name: str, values: ArrayLike) -> Array:
         array = np.array(values, dtype=float)
@@ -300,6 +301,7 @@ class RecedingHorizonPlanner:
             obstacles=obstacles,
             goal_position=single(goal.position[:, None]),
             goal_rotation=single(rotation[:, :, None]),
+            goal_velocity=single(goal.velocity[:, None]),
             weights=self._weights_for(request),
             permitted_force=single(self._permitted_force),
             body_speed=single(self._body_speed),
@@ -314,7 +316,7 @@ class RecedingHorizonPlanner:
         """The weights of the settings, with those that a free orientation, the approach and a detour change."""
         settings, memory = self._settings, self.memory
         changed = {} if request.goal.rotation is not None else {"orientation": 0.0}
-        if memory is not None and request.goal.same_as(memory.request.goal):
+        if memory is not None and request.goal.is_near(memory.request.goal):
             changed |= memory.approach.weights(settings)
         if request.detour is not None:
             changed |= request.detour.weights(settings)

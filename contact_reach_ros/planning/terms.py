@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.task import AXIS, POSE
 from contact_reach_ros.control.settings import IMPACT_ENERGY, LimitSettings
 from contact_reach_ros.errors import SettingsError
@@ -45,7 +46,7 @@ class Problem(NamedTuple):
     obstacles: Obstacles | None
     """Obstacles with one lane, or None for a program without contact."""
     goal_position: jax.Array
-    """(3, 1), m."""
+    """(3, 1) when the plan takes effect, m."""
     goal_rotation: jax.Array
     """(3, 3, 1); any rotation if the orientation is free, which makes the weight of the term `orientation` zero."""
     weights: dict[str, Number]
@@ -62,6 +63,8 @@ class Problem(NamedTuple):
     """The reference in force when the plan takes effect, with one lane; None where the arm is held at `q`."""
     detour: jax.Array | None = None
     """(n, 1) posture of the detour, rad, which counts if the term `detour` has a weight."""
+    goal_velocity: Number | Array = np.zeros((3, 1), np.float32)
+    """(3, 1), m/s."""
 
 
 class Rollout(NamedTuple):
@@ -95,6 +98,10 @@ there, and the search would need three times as many solver steps.
 """
 
 
+_AIM = 0.7
+"""Time in a knot at which a moving goal is where the tip is to be, as a share of the knot."""
+
+
 @dataclass(frozen=True, eq=False)
 class Context:
     """Inputs of a term."""
@@ -115,6 +122,16 @@ class Context:
     def position(self) -> jax.Array:
         """(3, H + 1, B) flange at the knot boundaries, m."""
         return jnp.moveaxis(self.rollout.pose.position, 1, 0)
+
+    @property
+    def goal_position(self) -> jax.Array:
+        """(3, H, 1) the goal that the tip is to be at when each knot ends, m: where it is a little earlier.
+
+        The next plan comes before a knot ends: a tip that is to be on a moving goal at the ends runs ahead of it.
+        """
+        problem, knots = self.problem, self.rollout.contact.shape[0]
+        times = self.knot_duration * (_AIM + jnp.arange(knots, dtype=jnp.float32))
+        return problem.goal_position[:, None] + jnp.asarray(problem.goal_velocity)[:, None] * times[:, None]
 
     @property
     def q(self) -> jax.Array:
@@ -188,7 +205,7 @@ def weighted_terms(context: Context) -> dict[str, jax.Array]:
 @term("goal_weight")
 def goal(context: Context) -> jax.Array:
     """Distance of the flange from the goal, m."""
-    return _length(context.position[:, 1:] - context.problem.goal_position[:, None])
+    return _length(context.position[:, 1:] - context.goal_position)
 
 
 @term("progress_weight")
@@ -318,8 +335,8 @@ class Approach(NamedTuple):
     of foam slightly stiffer than the foam that the weight was chosen for, or a centimetre before a goal inside it.
     """
 
-    distance: float
-    """From flange to goal, m."""
+    position: Array
+    """(3,) of the flange, m: goals may move."""
     share: float = 1.0
     """Share of the weight of permitted contact for the next plan."""
 
@@ -328,7 +345,7 @@ class Approach(NamedTuple):
         return {"contact": self.share * settings.contact_weight}
 
     def updated(
-        self, distance: float, elapsed: float, patience: float, least_speed: float, is_firm: bool = False
+        self, position: Array, goal: Array, elapsed: float, patience: float, least_speed: float, is_firm: bool = False
     ) -> Approach:
         """Progress after some more time.
 
@@ -337,8 +354,8 @@ class Approach(NamedTuple):
 
         Parameters
         ----------
-        distance
-            Present distance to the goal, m.
+        position, goal
+            Present positions (3,) of the flange and of the goal, m.
         elapsed
             Time since the last progress, s.
         patience
@@ -348,11 +365,11 @@ class Approach(NamedTuple):
         is_firm
             Whether the expected contact is stronger than permitted.
         """
-        share = self.share
+        share, distance = self.share, math.dist(position, goal)
         if patience > 0.0 and 0.0 < least_speed < math.inf and distance > _THERE:
-            ahead = (self.distance - distance) / least_speed - elapsed
+            ahead = (math.dist(self.position, goal) - distance) / least_speed - elapsed
             if is_firm:
                 ahead = max(ahead, elapsed)
             # The limits keep the exponential finite, whatever happened in between.
             share = min(max(share * math.exp(min(max(ahead / patience, -10.0), 10.0)), _LEAST_SHARE), 1.0)
-        return Approach(distance, share)
+        return Approach(position, share)

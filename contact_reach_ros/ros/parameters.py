@@ -100,10 +100,25 @@ def given_parameters(arguments: Sequence[str], node_name: str) -> dict[str, Any]
 
 
 def overrides(arguments: Sequence[str], node_name: str) -> list[Parameter]:
-    """What a command line gives to a node, which ROS would lose in part: see `settings.parameters_in`."""
+    """What a command line gives to a node, which gets it from here alone, see `without_parameters`."""
     values = given_parameters(arguments, node_name)
     # A missing value is the default, and ROS cannot tell the type of an empty list.
-    return [Parameter(name, value=value) for name, value in values.items() if value is not None and value != []]
+    return [Parameter(name, value=_alike(value)) for name, value in values.items() if value is not None and value != []]
+
+
+def without_parameters(arguments: Sequence[str]) -> list[str]:
+    """The command line for ROS, which reads files in another way than `given_parameters` and loses part of them.
+
+    Raises `SettingsError` if an option lacks its value.
+    """
+    kept, rest = [], iter(arguments)
+    for argument in rest:
+        if argument not in (*_FILE, *_ONE):
+            kept.append(argument)
+        elif not next(rest, ""):
+            what = "NAME:=VALUE" if argument in _ONE else "a file"
+            raise SettingsError(f"argument {argument}: expected {what} after it")
+    return kept
 
 
 def namespace_in(arguments: Sequence[str]) -> str:
@@ -119,7 +134,7 @@ def namespace_in(arguments: Sequence[str]) -> str:
 def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
     """The arguments of a command line that are not ROS's; raises `SettingsError` if ROS does not understand its own."""
     try:
-        return list(remove_ros_args(list(arguments)))
+        return list(remove_ros_args(without_parameters(arguments)))
     except RuntimeError as error:
         raise SettingsError(f"ROS refused the arguments {' '.join(arguments[1:])}: {error}") from error
 
@@ -133,6 +148,9 @@ def settings_of(arguments: Sequence[str], node_name: str, sections: Sections, ar
     return make_settings(values, sections, arm, f"parameters of {node_name}")
 
 
+_FILE, _ONE = ("--params-file",), ("-p", "--param")
+"""Options of ROS with parameters: a file, and one."""
+
 _Given = tuple[str, dict[str, Any]]
 
 
@@ -142,15 +160,23 @@ def _given(arguments: Sequence[str], node_name: str, owners: Collection[str]) ->
     Raises `SettingsError` as `parameters_in`, or if something is for a node that there is not.
     """
     for option, argument in itertools.pairwise(arguments):
-        if option == "--params-file":
+        if option in _FILE:
             check_node_names(Path(argument))
             yield f"{argument}: {node_name}", parameters_in(Path(argument), node_name, namespace_in(arguments))
-        elif option in ("-p", "--param"):
-            target, _, text = argument.partition(":=")
+        elif option in _ONE:
+            target, is_given, text = argument.partition(":=")
             owner, _, name = target.rpartition(":")
+            if not (is_given and name):
+                raise SettingsError(f"argument {option} {argument}: expected NAME:=VALUE")
             check_node_name(owner or node_name, f"argument {option} {argument}")
             if owner in owners:
                 yield f"argument {option} {argument}", {name: parse_yaml(text)}
+
+
+def _alike(value: Any) -> Any:
+    """A list of numbers with all of one type, as ROS wants them."""
+    is_mixed = isinstance(value, list) and {type(item) for item in value} == {int, float}
+    return [float(item) for item in value] if is_mixed else value
 
 
 def _merged(given: Iterable[_Given]) -> dict[str, Any]:

@@ -22,7 +22,13 @@ from contact_reach_ros.executables import end_at_signals
 from contact_reach_ros.ros.description import description_file, options_of
 from contact_reach_ros.ros.discovery import environment
 from contact_reach_ros.ros.managed_node import ManagedNode
-from contact_reach_ros.ros.parameters import check_arguments, given_parameters, namespace_in, without_ros_arguments
+from contact_reach_ros.ros.parameters import (
+    check_arguments,
+    given_parameters,
+    namespace_in,
+    without_parameters,
+    without_ros_arguments,
+)
 from contact_reach_ros.ros.scheduling import choose_cpus, give_way, take_priority, use_cpus
 from contact_reach_ros.settings import ROBOT, as_arguments
 
@@ -81,7 +87,7 @@ def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
     """
     os.environ.update(environment(discovery))
     without_ros_arguments(arguments)
-    rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(args=without_parameters(arguments), signal_handler_options=SignalHandlerOptions.NO)
 
 
 def in_namespace(namespace: str) -> list[str]:

@@ -27,6 +27,8 @@ _ROUNDING = 1e-9
 """Difference of two times that are equal except for rounding, s."""
 _CONTACT_FORCE = 0.5
 """True force that counts as a contact, N."""
+_STREAM_S = 1.0
+"""Time to the goal before within which a goal is no event of its own, s."""
 _CONTACT_PAUSE = 0.3
 """Time without contact after which the next contact is a new one, s."""
 
@@ -151,8 +153,12 @@ def _row(times: Array, time: float) -> int:
 
 
 def _goal_events(goals: Series, kind: str, words: str) -> Iterator[Event]:
+    """Goals, of those that follow each other soon only the first."""
+    last = -np.inf
     for time, position in zip(goals.time.tolist(), goals.values, strict=True):
-        yield Event(time, kind, f"{words} {np.round(position, 3).tolist()} m")
+        is_next, last = time - last < _STREAM_S, time
+        if not is_next:
+            yield Event(time, kind, f"{words} {np.round(position, 3).tolist()} m")
 
 
 def _stop_events(states: Sequence[SafetyEvent]) -> Iterator[Event]:

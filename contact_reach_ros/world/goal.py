@@ -16,13 +16,14 @@ from contact_reach_ros.arm.task import AXIS, POSITION
 from contact_reach_ros.errors import InputError
 
 HOLD, POSE, FREE = ORIENTATIONS = ("hold", "pose", "free")
-"""Orientation of a goal: the present one when the goal is given, the orientation of a commanded pose, or any."""
+"""Orientation of a goal: the present one when the first of successive goals is given, that of a commanded pose, or
+any."""
 
 TOLERANCE, ANGLE_TOLERANCE, REST_SPEED = 0.01, 0.05, 0.01
 """Default tolerances of a goal: m, rad and m/s."""
 
-_SAME_POSITION, _SAME_ROTATION = 1e-3, 1e-2
-"""Differences up to which two targets are the same, m and rad."""
+_NEAR_POSITION, _NEAR_ROTATION = 0.02, 0.1
+"""Differences up to which a search for plans goes on with another target, m and rad."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,12 @@ class Target:
     """(3, 3), or None to leave the orientation free."""
     only_axis: bool = False
     """Whether only the direction of its z axis counts, about which the flange may be turned as it likes."""
+    velocity: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,), m/s, with which the position moves."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", checked_array("goal position", self.position, (3,)))
+        object.__setattr__(self, "velocity", checked_array("goal velocity", self.velocity, (3,)))
         if self.rotation is not None:
             rotation = checked_array("goal rotation", self.rotation, (3, 3))
             if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0.0:
@@ -63,15 +67,20 @@ class Target:
     def of_task(self, task: str) -> Target:
         """The target without what a task, of `TASK_ROWS`, does not control of the orientation."""
         if task == POSITION:
-            return Target(self.position)
+            return replace(self, rotation=None)
         return replace(self, only_axis=self.rotation is not None) if task == AXIS else self
 
-    def same_as(self, other: Target | None) -> bool:
-        """Whether both ask for the same pose, to 1 mm and 10 mrad, so that plans for one are a start for the other."""
+    @property
+    def moves(self) -> bool:
+        """Whether it has a velocity."""
+        return bool(self.velocity.any())
+
+    def is_near(self, other: Target | None, distance: float = _NEAR_POSITION) -> bool:
+        """Whether both ask for nearly the same pose, to `distance`, m, so that what leads to one leads to the other."""
         if other is None or (self.rotation is None) != (other.rotation is None) or self.only_axis != other.only_axis:
             return False
         turned = 0.0 if other.rotation is None else self.angle(other.rotation)
-        return turned <= _SAME_ROTATION and math.dist(self.position, other.position) <= _SAME_POSITION
+        return turned <= _NEAR_ROTATION and math.dist(self.position, other.position) <= distance
 
 
 @runtime_checkable

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.errors import ContactReachError, InputError, SceneError, SettingsError
 from contact_reach_ros.resources import share_directory
-from contact_reach_ros.settings import Settings, read_yaml, setting, unknown_key
+from contact_reach_ros.settings import Problems, Settings, read_yaml, setting, unknown_key
 from contact_reach_ros.world.obstacle import KINDS, Obstacle, ObstacleSettings, bodies
 from contact_reach_ros.world.rigid import Block, Environment, Plane, RigidBody
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
@@ -191,22 +191,27 @@ def _read(file: Path, above: Sequence[Path]) -> dict[str, Any]:
     content = read_yaml(file)
     base = content.pop(BASE, None)
     found = {} if base is None else _read_base(file, base, above)
-    for key, values in content.items():
-        where = f"{file}: {key}"
-        if key not in (ENVIRONMENT, OBSTACLES, *SECTIONS):
-            raise SettingsError(unknown_key(str(key), [BASE, ENVIRONMENT, OBSTACLES, *SECTIONS], str(file)))
-        if key == OBSTACLES:
-            found[key] = _read_list(values, where)
-            continue
-        if not isinstance(values, dict):
-            raise SettingsError(f"{where} = {values!r}; expected a mapping of keys to values")
-        if key == ENVIRONMENT:
-            found[key] = {**found.get(key, {}), **_read_environment(values, where)}
-        else:
-            given = SECTIONS[key].from_mapping(values, where)
-            changes = {name: getattr(given, name) for name in values}
-            found[key] = dataclasses.replace(found[key], **changes) if key in found else given
+    with Problems() as problems:
+        for key, values in content.items():
+            with problems.noted():
+                found[key] = _section(file, str(key), values, found.get(key))
     return found
+
+
+def _section(file: Path, key: str, values: Any, base: Any) -> Any:
+    """One section, with what it changes of the base's, if there is one."""
+    where = f"{file}: {key}"
+    if key not in (ENVIRONMENT, OBSTACLES, *SECTIONS):
+        raise SettingsError(unknown_key(key, [BASE, ENVIRONMENT, OBSTACLES, *SECTIONS], str(file)))
+    if key == OBSTACLES:
+        return _read_list(values, where)
+    if not isinstance(values, dict):
+        raise SettingsError(f"{where} = {values!r}; expected a mapping of keys to values")
+    if key == ENVIRONMENT:
+        return {**(base or {}), **_read_environment(values, where)}
+    given = SECTIONS[key].from_mapping(values, where)
+    changes = {name: getattr(given, name) for name in values}
+    return given if base is None else dataclasses.replace(base, **changes)
 
 
 def _read_base(file: Path, base: Any, above: Sequence[Path]) -> dict[str, Any]:
@@ -223,12 +228,14 @@ def _read_list(entries: Any, where: str) -> tuple[ObstacleSettings, ...]:
     if not isinstance(entries, list):
         raise SettingsError(f"{where} = {entries!r}; expected a list of obstacles, each with its {KIND_KEY}")
     found = []
-    for number, entry in enumerate(entries):
-        kind = entry.get(KIND_KEY) if isinstance(entry, dict) else None
-        if kind not in KINDS:
-            raise SettingsError(f"{where}[{number}]: {KIND_KEY} = {kind!r}; expected one of {', '.join(KINDS)}")
-        values = {key: value for key, value in entry.items() if key != KIND_KEY}
-        found.append(KINDS[kind].from_mapping(values, f"{where}[{number}]"))
+    with Problems() as problems:
+        for number, entry in enumerate(entries):
+            with problems.noted():
+                kind = entry.get(KIND_KEY) if isinstance(entry, dict) else None
+                if kind not in KINDS:
+                    raise SettingsError(f"{where}[{number}]: {KIND_KEY} = {kind!r}; expected one of {', '.join(KINDS)}")
+                values = {key: value for key, value in entry.items() if key != KIND_KEY}
+                found.append(KINDS[kind].from_mapping(values, f"{where}[{number}]"))
     return tuple(found)
 
 

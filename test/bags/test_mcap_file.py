@@ -1,5 +1,6 @@
 """The messages of one mcap file, as this and other writers store them."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,13 +9,17 @@ from mcap.records import Message
 from mcap.writer import CompressionType, IndexType, Writer
 
 from contact_reach_ros.bags.mcap_file import McapFile
-from contact_reach_ros.errors import BagError
 
 COUNT = 50
 
 
-def write(path: Path, **options: Any) -> list[tuple[str, Message]]:
-    """A file of several chunks with two channels that take turns; its messages in the order of the file."""
+def write(
+    path: Path, loose_from: int = COUNT, began_ns: int = 0, astray: Mapping[int, int] | None = None, **options: Any
+) -> list[tuple[str, Message]]:
+    """A file of several chunks with two channels that take turns; its messages in the order of the file.
+
+    Those from a number on are outside of chunks, and `astray` ones were received at another time.
+    """
     written: list[tuple[str, Message]] = []
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=2000, **options)
@@ -24,7 +29,11 @@ def write(path: Path, **options: Any) -> list[tuple[str, Message]]:
         for number in range(COUNT):
             # Not in the order of time.
             name = ("/a", "/b")[number % 3 % 2]
-            message = Message(channels[name], 1000 - number % 7, b"m" * (number + 1), 500 + number, number)
+            received_ns = (astray or {}).get(number, began_ns + 1000 - number % 7)
+            message = Message(channels[name], received_ns, b"m" * (number + 1), 500 + number, number)
+            if number == loose_from:
+                writer._Writer__finalize_chunk()
+                writer._Writer__chunk_builder = None
             writer.add_message(message.channel_id, message.log_time, message.data, message.publish_time, number)
             written.append((name, message))
         writer.finish()
@@ -50,6 +59,7 @@ def check(path: Path, written: list[tuple[str, Message]]) -> McapFile:
         {},
         {"compression": CompressionType.NONE},
         {"compression": CompressionType.LZ4},
+        {"use_chunking": False},
         {"index_types": IndexType.ALL & ~IndexType.MESSAGE},
         {"index_types": IndexType.NONE, "use_statistics": False, "use_summary_offsets": False},
         {"repeat_channels": False, "repeat_schemas": False},
@@ -61,7 +71,19 @@ def test_messages_are_as_written(tmp_path, options):
     assert list(check(tmp_path / "a.mcap", written).notes()) == []
 
 
-def test_messages_outside_of_chunks_are_refused_with_a_remedy(tmp_path):
-    write(tmp_path / "a.mcap", use_chunking=False)
-    with pytest.raises(BagError, match="outside of chunks; `ros2 bag convert`"):
-        McapFile(tmp_path / "a.mcap")
+def test_messages_after_the_chunks_are_read_and_counted(tmp_path):
+    written = write(tmp_path / "a.mcap", loose_from=COUNT // 2)
+    assert list(check(tmp_path / "a.mcap", written).notes()) == []
+
+
+@pytest.mark.parametrize("time", [0, (1 << 64) - 5])
+def test_a_message_of_an_impossible_time_is_left_out_with_a_note(tmp_path, time):
+    year_ns = 366 * 24 * 3600 * 10**9
+    written = write(tmp_path / "a.mcap", began_ns=40 * year_ns, astray={7: time})
+    file = McapFile(tmp_path / "a.mcap")
+    kept = [entry for entry in written if entry[1].sequence != 7]
+    assert list(file.messages(["/a", "/b"])) == sorted(kept, key=lambda entry: entry[1].log_time)
+    assert file.span_ns == (40 * year_ns + 994, 40 * year_ns + 1000)
+    assert list(file.notes()) == [
+        "a.mcap: 1 messages are left out, received more than a year before or after the others"
+    ]

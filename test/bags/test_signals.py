@@ -17,8 +17,9 @@ from contact_reach_ros.bags.signals import EpisodeSignals, arm_of_bag, goal_dist
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.messages.conversions import to_goal_pose
+from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.messages.intake import IntakeLog, Taken
-from contact_reach_ros.messages.values import goal_values
+from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 
 RECEIVED_0 = 1_700_000_000_000_000_000
 STAMP_0 = 50_000_000_000
@@ -34,6 +35,7 @@ TYPES = {
     "goal_pose": "geometry_msgs/msg/PoseStamped",
     "safety_state": "diagnostic_msgs/msg/DiagnosticStatus",
     "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    "goal/state": "diagnostic_msgs/msg/DiagnosticStatus",
     "plan/statistics": "diagnostic_msgs/msg/DiagnosticArray",
 }
 GOALS = {50: 0.5, 200: 2.0, 300: 0.7}
@@ -80,10 +82,9 @@ def write_episode(directory: Path) -> None:
             if tick in GOALS:
                 message = to_goal_pose([GOALS[tick], 0.0, 0.0], "lbr_link_0", Time())
                 write("goal_pose", time, message)
-                if tick != 200:
-                    numbers = goal_values(np.array([GOALS[tick], 0.0, 0.0]))
-                    values = [KeyValue(key=key, value=str(value)) for key, value in numbers.items()]
-                    write("plan/statistics", time, DiagnosticArray(status=[DiagnosticStatus(values=values)]))
+                phase = GoalPhase.REFUSED if tick == 200 else GoalPhase.ACCEPTED
+                # All goals have the stamp 0.
+                write("goal/state", time, to_goal_state(GoalState(phase), 0, "planner", ARM))
             if tick % 100 == 0:
                 values = [KeyValue(key="ticks", value=str(tick)), KeyValue(key="state", value="active")]
                 write("diagnostics", time, DiagnosticArray(status=[DiagnosticStatus(name="driver", values=values)]))

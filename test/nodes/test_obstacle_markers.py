@@ -144,6 +144,21 @@ def test_markers_of_perception_may_be_in_any_namespace_and_are_as_large_as_their
     assert [body.name for body in spheres.environment] == ["furniture/0"]
 
 
+def test_obstacles_of_two_namespaces_may_have_one_id():
+    message = MarkerArray()
+    for namespace, x in (("hand", 0.2), ("head", 0.6)):
+        one = Marker(ns=namespace, id=0, type=Marker.SPHERE, scale=Vector3(x=0.1, y=0.1, z=0.1))
+        one.header.frame_id, one.pose.position.x, one.pose.orientation.w = ARM.base_frame, x, 1.0
+        message.markers.append(one)
+    reader = new_reader()
+    np.testing.assert_array_equal(reader.read(serialize_message(message)).center[:, 0], [0.2, 0.6])
+    message.markers.pop(0)
+    # Each has the place where it was seen first.
+    message.markers[0].pose.position.x = 0.7
+    spheres = reader.read(serialize_message(message))
+    assert (spheres.center[0, 0], spheres.rest[0, 0]) == (0.7, 0.6)
+
+
 @pytest.mark.parametrize("size", [1, 2, 3, 8])
 def test_fields_of_any_size_that_are_not_read_change_nothing(size):
     message = obstacle_markers(scene(), displaced(), STAMP_NS)

@@ -17,10 +17,17 @@ BEHIND = np.full(20, 0.3)
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
+ORIGIN = np.zeros(3)
+
+
+def at(distance: float) -> np.ndarray:
+    return np.array([distance, 0.0, 0.0])
+
+
 def share_after(distances) -> float:
-    approach = Approach(distances[0])
+    approach = Approach(at(distances[0]))
     for distance in distances[1:]:
-        approach = approach.updated(distance, elapsed=0.04, patience=0.5, least_speed=SPEED)
+        approach = approach.updated(at(distance), ORIGIN, elapsed=0.04, patience=0.5, least_speed=SPEED)
     return approach.share
 
 
@@ -46,10 +53,19 @@ def test_the_share_comes_back_as_the_arm_catches_up_and_never_exceeds_one():
 
 
 def test_the_share_comes_back_while_contact_is_firm():
-    held_up = Approach(0.3, 0.1)
-    assert held_up.updated(0.3, 0.5, 0.5, SPEED, is_firm=True).share == pytest.approx(0.1 * math.e)
+    def share(distance: float, is_firm: bool) -> float:
+        return Approach(at(0.3), 0.1).updated(at(distance), ORIGIN, 0.5, 0.5, SPEED, is_firm).share
+
+    assert share(0.3, True) == pytest.approx(0.1 * math.e)
     # No slower than without.
-    assert held_up.updated(0.26, 0.5, 0.5, SPEED, is_firm=True) == held_up.updated(0.26, 0.5, 0.5, SPEED)
+    assert share(0.26, True) == share(0.26, False)
+
+
+def test_progress_is_towards_the_goal_as_it_is_now():
+    """A goal that moves away is no delay, and one that comes no progress."""
+    approach = Approach(at(0.3), 0.1)
+    for goal in (at(0.02), at(-0.02)):
+        assert approach.updated(at(0.3), goal, 0.5, 0.5, SPEED).share == pytest.approx(0.1 / math.e)
 
 
 def test_the_weight_of_contact_falls_for_one_goal_only(planner, monkeypatch):

@@ -100,6 +100,53 @@ class TestRequests:
         assert planner.request(state(30)) is not None
 
 
+class TestStreams:
+    """Goals every 20 ms that move by 0.1 m/s."""
+
+    def follow(self, planner: Planner, first: int, last: int, speed: float = 0.1) -> list[bool]:
+        goes_on = []
+        for tick in range(first, last, 20):
+            planner.request(state(tick))
+            goes_on.append(planner.command(Goal([0.5, 0.1 + 1e-3 * speed * tick, 0.3])))
+        return goes_on
+
+    def test_they_are_one_goal_from_the_third_on(self):
+        planner = make()
+        assert self.follow(planner, 0, 100) == [False, False, True, True, True]
+        planner.request(state(99))
+        assert planner.goal_state.phase is GoalPhase.FOLLOWING
+        assert planner.goal_state.elapsed == pytest.approx(0.059)
+
+    def test_plans_are_for_where_the_goal_is_when_they_take_effect(self):
+        planner = make()
+        self.follow(planner, 0, 200)
+        tick, request = next(iter(requests(planner, 181, 210).items()))
+        assert request.effect_ns == (tick + 40) * TICK_NS
+        np.testing.assert_allclose(request.goal.position, [0.5, 0.1 + 1e-4 * (tick + 40), 0.3], atol=1e-6)
+        np.testing.assert_allclose(request.goal.velocity, [0.0, 0.1, 0.0], atol=1e-6)
+
+    def test_one_that_ends_is_held_where_it_was_last(self):
+        planner = make()
+        self.follow(planner, 0, 100)
+        request = planner.request(state(300))
+        np.testing.assert_allclose(request.goal.position, [0.5, 0.108, 0.3], atol=1e-9)
+        assert not request.goal.moves
+        assert planner.goal_state.phase is GoalPhase.RUNNING
+
+    def test_an_impossible_one_does_not_end_it(self):
+        planner = make()
+        self.follow(planner, 0, 100)
+        with pytest.raises(InputError):
+            planner.command(BEYOND)
+        assert self.follow(planner, 100, 120) == [True]
+
+    def test_a_stop_ends_it(self):
+        planner = make()
+        self.follow(planner, 0, 100)
+        planner.withdraw("stopped")
+        assert self.follow(planner, 100, 120) == [False]
+
+
 class TestGoals:
     def test_it_holds_the_orientation_of_the_last_state(self):
         planner, turned = make(), HOME + 0.3
@@ -107,6 +154,16 @@ class TestGoals:
         planner.command(GOAL)
         np.testing.assert_allclose(planner.goal.rotation, RobotModel(ARM).tip_pose(turned)[1], atol=1e-12)
         assert planner.request(state(0, turned)).goal is planner.goal
+
+    def test_further_goals_hold_that_of_the_first_and_not_one_turned_on_the_way(self):
+        planner = begin(make())
+        first = planner.goal.rotation
+        planner.request(state(10, HOME + 0.3))
+        planner.command(Goal([0.5, 0.12, 0.3]))
+        np.testing.assert_array_equal(planner.goal.rotation, first)
+        planner.withdraw()
+        planner.command(GOAL)
+        np.testing.assert_allclose(planner.goal.rotation, RobotModel(ARM).tip_pose(HOME + 0.3)[1], atol=1e-12)
 
     @pytest.mark.parametrize("goal", [GOAL, BEYOND])
     def test_before_the_first_state_it_is_refused_and_never_moves_the_arm(self, goal):

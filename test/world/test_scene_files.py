@@ -134,3 +134,14 @@ def test_target_is_three_numbers():
     for text in ("0.5 0.1", "a b c", "nan 0 0"):
         with pytest.raises(SceneError, match="three finite numbers"):
             parse_target(text)
+
+
+def test_all_that_is_wrong_with_a_file_is_said_at_once(tmp_path):
+    file = tmp_path / "own.yaml"
+    file.write_text("bal: {}\nball: {radius: 9, mass: heavy}\nobstacles: [{kind: cone}, {kind: box, gap: 1}]\n")
+    with pytest.raises(SettingsError) as error:
+        read_scene(str(file))
+    lines = str(error.value).splitlines()
+    assert len(lines) == 5 and all(line.startswith(str(file)) for line in lines)
+    for word, line in zip(("bal", "radius", "mass", "cone", "gap"), lines, strict=True):
+        assert word in line
