@@ -203,11 +203,8 @@ class Controller:
         Raises
         ------
         InputError
-            If they are malformed, no longer valid, too far ahead, from before the last stop, or there is no joint state
-            yet.
+            If they are malformed, no longer valid, too far ahead, or from before the last stop.
         """
-        if not self.started and self.state is None:
-            raise InputError("reference/pose: there is no joint state yet; expected the first one before any plan")
         self.follower.queue.offer(references, self.stamp_ns)
 
     def withdraw(self) -> None:

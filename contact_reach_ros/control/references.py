@@ -141,10 +141,15 @@ class ReferenceQueue:
         self._not_before_ns = 0
 
     def offer(self, plan: References, now_ns: int) -> None:
-        """Take a plan; raises `InputError` naming the field if it is refused."""
+        """Take a plan; raises `InputError` naming the field if it is refused.
+
+        `now_ns` is the stamp of the last joint state, 0 before the first.
+        """
         plan.check(self._n)
         lead, duration = (plan.stamp_ns - now_ns) / NANOSECONDS, plan.ends_ns[-1] / NANOSECONDS
         if lead > MAX_PLAN_LEAD:
+            if not now_ns:
+                raise InputError("reference/pose: there is no joint state yet; expected the first one before any plan")
             raise InputError(
                 f"reference/pose: header.stamp lies {lead:.3f} s in the future; expected at most {MAX_PLAN_LEAD:g} s"
             )

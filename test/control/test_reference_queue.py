@@ -85,7 +85,8 @@ NAN = np.full((2, 7), math.nan)
 @pytest.mark.parametrize(
     ("stamp_ms", "ends_ms", "now_ms", "changes", "match"),
     [
-        (1500, (100, 200), 0, {}, r"reference/pose: header\.stamp.*1\.500 s in the future.*at most 1 s"),
+        (1500, (100, 200), 0, {}, "reference/pose: there is no joint state yet"),
+        (1600, (100, 200), 100, {}, r"reference/pose: header\.stamp.*1\.500 s in the future.*at most 1 s"),
         (10, (100, 200), 210, {}, r"reference/pose: the last knot ended 0\.000 s ago"),
         (10, (100, 1200), 0, {}, r"reference/pose: the plan lasts 1\.2 s; expected at most 1 s"),
         (0, (100, 100), 0, {}, "reference/pose: time_from_start.*strictly increasing"),

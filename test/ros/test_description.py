@@ -99,12 +99,13 @@ def test_what_is_wrong_is_said_with_the_topic(texts, latched, message, monkeypat
         described(DESCRIPTION, "test")
 
 
-def test_a_node_that_is_started_alone_has_the_arm_of_its_namespace():
+def test_a_node_that_is_started_alone_has_the_arm_of_its_namespace(monkeypatch):
     given = ["observer", "--ros-args", "-r", "__ns:=/left", "-p", f"robot:={DESCRIPTION}"]
     with published(URDF, topic=f"/left/{DESCRIPTION}"):
         arguments = with_description(given, "observer")
     check_arguments(arguments, ObserverNode.NAME, ObserverNode.SECTIONS)
     initialise(arguments)
+    monkeypatch.setattr(ObserverNode, "ARGUMENTS", arguments)
     try:
         assert list(ObserverNode().arm.joint_names) == NAMES
     finally:
