@@ -51,7 +51,8 @@ def listen(options: BringupOptions, arm: Arm, period: float, seconds: float) -> 
         client.spin(stack.SETTLED_S)
         client.until(lambda: target.look() or _fits(target), stack.SETTLED_S)
         heard.clear()
-        client.spin(seconds)
+        # In short turns: KUKA's states are stamped when they are handled.
+        client.until(lambda: False, seconds)
         commands = node.resolve_topic_name(target.topic.name)
         takers = stack.endpoints(node.get_subscriptions_info_by_topic(commands))
         client.close()
