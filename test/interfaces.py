@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from contact_reach_ros.drives.settings import FRANKA_STATES
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.ros.interfaces import (
@@ -110,7 +111,7 @@ INTERFACES = {
     ),
     DOCTOR: _node(
         [],
-        topics.ALL,
+        [*topics.ALL, topics.JOINT_STATES._replace(name=FRANKA_STATES)],
         calls=[
             *(f"{name}/get_state" for name in MANAGED),
             *(f"effort_controller/{service}" for service in ("get_parameters", "list_parameters")),

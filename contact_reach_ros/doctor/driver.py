@@ -17,6 +17,7 @@ from contact_reach_ros.drives.lbr import LbrTarget
 from contact_reach_ros.drives.settings import ADAPTER_SECTIONS, FRANKA, FRANKA_STATES, LBR
 from contact_reach_ros.messages import topics
 from contact_reach_ros.ros.client import Client
+from contact_reach_ros.ros.graph import as_offered
 from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.interfaces import ADAPTER, DOCTOR
 from contact_reach_ros.ros.process import bare_node
@@ -50,11 +51,12 @@ def listen(options: BringupOptions, arm: Arm, period: float, seconds: float) -> 
         client.spin(stack.SETTLED_S)
         client.until(lambda: target.look() or _fits(target), stack.SETTLED_S)
         heard.clear()
-        client.spin(seconds)
+        # In short turns: KUKA's states are stamped when they are handled.
+        client.until(lambda: False, seconds)
         commands = node.resolve_topic_name(target.topic.name)
         takers = stack.endpoints(node.get_subscriptions_info_by_topic(commands))
         client.close()
-    own = stack.Endpoint(f"the {ADAPTER}", target.topic.type_name, qos_profile(target.topic.qos))
+    own = stack.Endpoint(f"the {ADAPTER}", target.topic.type_name, as_offered(qos_profile(target.topic.qos)))
     deaf = stack.incompatible([own], takers)
     found = f"{commands} → {', '.join(taker.node for taker in takers) or 'nobody'}{deaf and '; ' + deaf}"
     fix = "activate the controller that takes the torques, and let it request no more than reliable, volatile"

@@ -27,7 +27,7 @@ class RateCheck:
 
     TOLERANCE = 0.5
     """How far the mean step may be from the nominal one, as a share of it."""
-    _LEAST = 50
+    _LEAST = 5
     """Steps without which nothing can be concluded."""
 
     def __init__(self, period: float) -> None:
@@ -116,7 +116,7 @@ class Sight:
             return
         speed = float(np.abs(v).max())
         if not known and not missing and speed <= REST_SPEED:
-            self._seen_ns, self.blind, self.doubt = stamp_ns, "", ""
+            self._seen_ns, self.blind, self.doubt = stamp_ns, "", self.rate.mismatch()
             return
         if self._seen_ns is None or stamp_ns < self._seen_ns:
             self._seen_ns = stamp_ns

@@ -14,7 +14,6 @@ from copy import copy
 
 from rclpy.duration import Infinite
 from rclpy.node import Node, NodeNameNonExistentError
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -103,7 +102,7 @@ def mismatches(node: Node, heard: Iterable[Subscription], counts: dict[tuple[str
     requested: dict[str, list[QoSProfile]] = {}
     for each in heard:
         requested.setdefault(each.topic_name, []).append(each.qos_profile)
-    offered = {publisher.topic_name: [_offer(publisher)] for publisher in node.publishers}
+    offered = {publisher.topic_name: [as_offered(publisher.qos_profile)] for publisher in node.publishers}
     for profiles, count, look, what, remedy in (
         (requested, node.count_publishers, node.get_publishers_info_by_topic, "hears nothing from", "offer"),
         (offered, node.count_subscribers, node.get_subscriptions_info_by_topic, "is not heard by", "request at most"),
@@ -120,9 +119,9 @@ def mismatches(node: Node, heard: Iterable[Subscription], counts: dict[tuple[str
                     yield f"{name}: this node {what} {node_of(other)} ({why}); let that one {remedy} {words}"
 
 
-def _offer(publisher: Publisher) -> QoSProfile:
+def as_offered(profile: QoSProfile) -> QoSProfile:
     """What a publisher of ours offers, as the graph has it: durations that are not set are infinite."""
-    profile = copy(publisher.qos_profile)
+    profile = copy(profile)
     profile.deadline = profile.liveliness_lease_duration = Infinite
     return profile
 

@@ -268,7 +268,6 @@ class BehindAdapter(Stack):
         pytest.param(OF_2024, {}, 0.002, marks=pytest.mark.slow),
         pytest.param(OF_2024, {"measured_torque_cutoff_frequency": 1.6}, 0.001, marks=pytest.mark.slow),
         pytest.param(LATER, {}, 0.002, marks=pytest.mark.slow),
-        (OF_2024, {}, 0.005),
         (LATER, {"measured_torque_tau": 0.016}, 0.005),
     ],
 )

@@ -116,6 +116,13 @@ def test_topics_that_must_have_one_publisher(topic):
     assert finding.verdict is Verdict.FAIL and "start" in finding.fix
 
 
+def test_kukas_adapter_needs_no_effort_controller():
+    graph = with_publishers(topics.COMMANDS)
+    kuka = dataclasses.replace(graph, settings={"adapter": {"kind": "lbr"}})
+    assert stack.topic(kuka, topics.COMMANDS).verdict is Verdict.PASS
+    assert stack.topic(graph, topics.COMMANDS).verdict is Verdict.FAIL
+
+
 BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
