@@ -48,7 +48,7 @@ _FOLLOWED_S = 8.0
 _COMPILED_S = 120.0
 """For a planner that has just been started, which compiles, and for the nodes that bring-up starts then."""
 _CHECKED_S = 20.0
-"""For an adapter that checks its drive first, also where simulated time is slow."""
+"""For a controller that waits for its observer, and an adapter that checks its drive; simulated time may be slow."""
 _SILENCE_S = 5.0
 _REST_S = 5.0
 """Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
@@ -300,8 +300,8 @@ class StackClient(Client):
         self.hear_stops()
         if self.stops:
             return Outcome(False, f"not sent, the arm is stopped: {self.why_stopped}; first: contact-reach reset")
-        if not self.until(lambda: self.summaries.get(ADAPTER, topics.ALL_IS_WELL) == topics.ALL_IS_WELL, _CHECKED_S):
-            return Outcome(False, f"not sent, the adapter passes no command on: {self.summaries[ADAPTER]}")
+        if not self.until(lambda: not self._idle(), _CHECKED_S):
+            return Outcome(False, f"not sent, nothing is commanded: {self._idle()}")
         before = self._plans_accepted()
         self.send_goal(position, rotation)
 
@@ -349,6 +349,11 @@ class StackClient(Client):
     def why_stopped(self) -> str:
         """Which nodes stopped the arm, and why; empty if none did."""
         return "; ".join(f"{name}: {reason}" for name, reason in self.stops.items())
+
+    def _idle(self) -> str:
+        """Which node on the way to the drive commands nothing, and why; empty if there is none."""
+        said = {name: self.summaries.get(name, "") for name in (CONTROLLER, ADAPTER)}
+        return "; ".join(f"{name}: {why}" for name, why in said.items() if why not in ("", topics.ALL_IS_WELL))
 
     def _plans_accepted(self) -> int:
         return int(self.diagnostics[CONTROLLER].get("plans accepted", 0))

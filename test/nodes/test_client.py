@@ -56,12 +56,13 @@ def test_what_is_missing_is_named_by_topic_until_it_is_heard(client):
         client.wait_for(client.missing, 0.1)
 
 
-def test_no_goal_is_sent_while_the_adapter_passes_no_command_on(client, monkeypatch):
+@pytest.mark.parametrize("node", ["controller", "adapter"])
+def test_no_goal_is_sent_while_nothing_is_commanded(node, client, monkeypatch):
     monkeypatch.setattr(client_module, "_CHECKED_S", 0.1)
     monkeypatch.setattr(client, "hear_stops", lambda: None)
-    hear(client, topics.DIAGNOSTICS, diagnostics("adapter", "KUKA's arm has a stiffness"))
+    hear(client, topics.DIAGNOSTICS, diagnostics(node, "the arm has a stiffness"))
     outcome = client.go(np.zeros(3), None)
-    assert not outcome.done and outcome.text.endswith("passes no command on: KUKA's arm has a stiffness")
+    assert not outcome.done and outcome.text == f"not sent, nothing is commanded: {node}: the arm has a stiffness"
 
 
 def test_goals_go_where_the_planner_takes_them_from_once_it_is_ready(client, monkeypatch):
