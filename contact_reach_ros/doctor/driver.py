@@ -27,9 +27,8 @@ from contact_reach_ros.settings import parameters_in
 def listen(options: BringupOptions, arm: Arm, period: float, seconds: float) -> tuple[dict[str, Finding], JointRecord]:
     """Listen to the driver for an adapter's kind; returns findings, and the joint states that came in the last seconds.
 
-    The driver is asked for the order of its joints, and nothing is sent to it. `period`: of the joint states, s.
-
-    Raises `SettingsError` if the parameter file is wrong, or a message package is not installed.
+    The driver is asked for the order of its joints, and nothing is sent to it. `period`: of the joint states, s. Raises
+    `SettingsError` if the parameter file is wrong, or a message package is not installed.
     """
     kind, file = options.adapter, options.parameter_file
     settings: Any = make_settings(parameters_in(file, ADAPTER), ADAPTER_SECTIONS, arm, str(file))[kind]
