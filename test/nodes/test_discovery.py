@@ -63,7 +63,7 @@ def test_nothing_is_set_over_the_choice_of_the_user_and_an_unknown_choice_is_ref
 
 @pytest.mark.parametrize(
     ("argument", "value"),
-    [("discovery:=subnet", "subnet"), ("bringup:discovery:=subnet", "subnet"), ("other:discovery:=subnet", "host")],
+    [("discovery:=subnet", "subnet"), ("bringup:discovery:=subnet", "subnet"), ("recorder:discovery:=subnet", "host")],
 )
 def test_bringup_knows_the_choice_before_ros_starts(argument, value):
     options = check_arguments(["bringup", "--ros-args", "-p", argument], "bringup", BRINGUP_SECTIONS)[""]

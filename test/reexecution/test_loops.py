@@ -33,7 +33,7 @@ def changed(sample: RecordedInputs, **attributes: object) -> RecordedInputs:
 
 def test_torques_and_residuals_are_identical(sample: RecordedInputs) -> None:
     for found in (reexecute("controller", sample), reexecute("observer", sample)):
-        assert found.compared > 3000
+        assert found.compared > 2500
         assert found.largest_difference <= 1e-9
         assert found.first_difference is None
         assert found.notes == ()
@@ -62,7 +62,7 @@ def test_after_lost_messages_it_finds_into_step_again(tmp_path: Path) -> None:
     for found in (reexecute("controller", inputs), reexecute("observer", inputs)):
         assert found.first_difference is None
         # The controller's laws reach full authority within 500 states again.
-        assert found.compared > 2500
+        assert found.compared > 2000
         assert any(note.startswith("50 messages that the") for note in found.notes)
 
 
@@ -99,4 +99,4 @@ def test_a_stop_may_be_the_last_thing_that_a_bag_has(
     (stop,) = (number for number, row in enumerate(intake.rows) if row.what is Taken.STOP)
     intakes = {"controller": intake._replace(rows=intake.rows[: stop + 1])}
     found = reexecute("controller", changed(sample, intakes=intakes, safety_reasons=lambda _: recorded))
-    assert found.compared > 3000 and (found.first_difference is not None) == differs
+    assert found.compared > 2500 and (found.first_difference is not None) == differs
