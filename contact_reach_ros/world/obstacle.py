@@ -147,6 +147,12 @@ class MeshSettings(ObstacleSettings):
         axes = [np.linspace(-extent, extent, count) for extent, count in zip(extents, self.nodes, strict=True)]
         return center + np.array(list(itertools.product(*axes)))
 
+    @property
+    def opening(self) -> float:
+        """Diameter of the largest ball that passes between four nodes without moving them, m; not positive for none."""
+        steps = (np.array(self.size) - 2.0 * self.node_radius) / (np.array(self.nodes) - 1)
+        return float(np.hypot(*np.sort(steps)[1:])) - 2.0 * self.node_radius
+
     def edges(self) -> NDArray[np.intp]:
         """Pairs (E, 2) of neighbours along the three axes."""
         index = np.arange(np.prod(self.nodes)).reshape(self.nodes)
