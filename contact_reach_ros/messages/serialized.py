@@ -125,14 +125,16 @@ class MessageWriter:
     ----------
     message
         With `SLOT` in place of each number that is written.
+    counts
+        Numbers of each array that is written: the bytes behind a message are any, also those of a `SLOT`.
     """
 
-    def __init__(self, message: Any) -> None:
+    def __init__(self, message: Any, counts: Sequence[int]) -> None:
         self._buffer = bytearray(encode(message))
         numbers = np.frombuffer(self._buffer, _DOUBLE, (len(self._buffer) - HEADER) // _DOUBLE.itemsize, HEADER)
         slots = np.flatnonzero(numbers == SLOT)
         runs = np.split(slots, np.flatnonzero(np.diff(slots) > 1) + 1)
-        self._values = [numbers[run[0] : run[-1] + 1] for run in runs]
+        self._values = [numbers[run[0] : run[0] + count] for run, count in zip(runs, counts, strict=False)]
 
     def write(self, *values: Array | Sequence[float], stamp_ns: int | None = None) -> bytes:
         """The message with these values, an array for each field in their order, and this stamp, ns, if it has one."""
@@ -147,19 +149,19 @@ def joint_state_writer(names: Sequence[str], frame_id: str, fields: Sequence[str
     """Writes JointState messages, of which `fields` are filled: position, velocity or effort."""
     message = JointStateMessage(name=list(names), **{field: [SLOT] * len(names) for field in fields})
     message.header.frame_id = frame_id
-    return MessageWriter(message)
+    return MessageWriter(message, [len(names)] * len(fields))
 
 
 def wrench_writer(frame_id: str) -> MessageWriter:
     """Writes WrenchStamped messages, from force and moment, (6,), N and Nm."""
     message = WrenchStamped(wrench=Wrench(**{part: Vector3(x=SLOT, y=SLOT, z=SLOT) for part in ("force", "torque")}))
     message.header.frame_id = frame_id
-    return MessageWriter(message)
+    return MessageWriter(message, [6])
 
 
 def command_writer(count: int) -> MessageWriter:
     """Writes Float64MultiArray messages of `count` values without a layout."""
-    return MessageWriter(Float64MultiArray(data=[SLOT] * count))
+    return MessageWriter(Float64MultiArray(data=[SLOT] * count), [count])
 
 
 def read_command(data: bytes) -> Array:

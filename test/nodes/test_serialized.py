@@ -10,6 +10,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from contact_reach_ros.errors import InputError
+from contact_reach_ros.messages import serialized
 from contact_reach_ros.messages.conversions import to_time
 from contact_reach_ros.messages.serialized import (
     JointStateReader,
@@ -88,6 +89,18 @@ def test_written_joint_states_are_decoded_by_rclpy(fields, names):
         assert (message.header.frame_id, message.name) == ("lbr_link_0", names)
         for field in ("position", "velocity", "effort"):
             assert getattr(message, field).tolist() == list(values.get(field, []))
+
+
+def test_what_is_behind_a_message_does_not_matter(monkeypatch):
+    """The middleware leaves what the memory held before, such as the end of another message."""
+    encode = serialized.encode
+    left = np.full(1, serialized.SLOT).tobytes()
+    monkeypatch.setattr(serialized, "encode", lambda message: encode(message)[:-8] + left)
+    names = ["wx200/shoulder_link", "wx200/upper_arm_link", "max"]
+    plain = encode(JointState(name=names, effort=[serialized.SLOT] * 3))
+    assert serialized.encode(JointState(name=names, effort=[serialized.SLOT] * 3)) != plain
+    written = joint_state_writer(names, "", ["effort"]).write([1.0, 2.0, 3.0], stamp_ns=0)
+    assert deserialize_message(written, JointState).effort.tolist() == [1.0, 2.0, 3.0]
 
 
 def test_written_wrenches_are_decoded_by_rclpy():
