@@ -28,7 +28,6 @@ EXPECTED = {
 """What each prints."""
 BESIDE_A_STACK = "moving_goal.py"
 """It has a test of its own."""
-LONG = set(EXPECTED) - {"plan_once.py"}
 
 
 def blocks(page: str, language: str = "python") -> list[str]:
@@ -46,9 +45,8 @@ def test_every_example_is_run_and_short_and_explains_itself():
         assert file.name in (ROOT / "docs" / "library.md").read_text()
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in EXPECTED]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EXPECTED)
 def test_example(name, tmp_path):
     printed = python((EXAMPLES / name).read_text(), *ARGUMENTS.get(name, []), cwd=tmp_path)
     assert re.search(EXPECTED[name], printed, re.DOTALL), printed
