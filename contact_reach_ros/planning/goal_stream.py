@@ -38,9 +38,12 @@ class GoalStream:
 
     def take(self, target: Target, time_ns: int) -> bool:
         """Take the next goal, given at a time, ns; returns whether it goes on with a stream."""
-        gap_ns = time_ns - self._times_ns[-1] if self._times_ns else 0
-        if not (0 < gap_ns <= _LONGEST_GAP_NS and target.is_near(self._targets[-1], _LARGEST_STEP)):
+        gap_ns = time_ns - self._times_ns[-1] if self._times_ns else -1
+        if not (0 <= gap_ns <= _LONGEST_GAP_NS and target.is_near(self._targets[-1], _LARGEST_STEP)):
             self.end()
+        elif not gap_ns:
+            # Several without a stamp that were handled at once: the last one counts.
+            del self._targets[-1], self._times_ns[-1]
         self._targets.append(target)
         self._times_ns.append(time_ns)
         while len(self._times_ns) > _LEAST and time_ns - self._times_ns[0] > _WINDOW_NS:

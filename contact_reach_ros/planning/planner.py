@@ -185,7 +185,9 @@ class Planner:
         if problem:
             raise InputError(problem)
         self.goal = target
-        goes_on = self._stream.take(target, min(sent_ns or state.stamp_ns, state.stamp_ns))
+        # While a plan is made goals may be sent after the last state.
+        is_known = 0 < sent_ns <= state.stamp_ns + NANOSECONDS
+        goes_on = self._stream.take(target, sent_ns if is_known else state.stamp_ns)
         if goes_on and self._progress is not None:
             self._progress.go_on(goal)
         else:

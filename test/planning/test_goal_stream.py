@@ -97,3 +97,10 @@ def test_a_second_goal_nearby_is_a_new_one_and_a_third_goes_on():
 def test_goals_of_another_orientation_are_new_ones():
     stream = fed([0.0, 0.05, 0.1], line, 0.1)
     assert not stream.take(Target(line(0.15, 0.1), np.eye(3)), ns(0.15))
+
+
+def test_of_several_at_one_time_the_last_counts():
+    stream = fed([0.0, 0.05, 0.1, 0.15], line, 0.1)
+    assert stream.take(Target(line(0.16, 0.1)), ns(0.15))
+    goal = now(stream, 0.15)
+    assert goal.moves and abs(goal.position[1] - line(0.16, 0.1)[1]) < 1e-3

@@ -125,6 +125,12 @@ class TestStreams:
         np.testing.assert_allclose(request.goal.position, [0.5, 0.1 + 1e-4 * (tick + 40), 0.3], atol=1e-6)
         np.testing.assert_allclose(request.goal.velocity, [0.0, 0.1, 0.0], atol=1e-6)
 
+    def test_goals_sent_after_the_last_state_go_on_with_it(self):
+        """As they do when a plan takes long."""
+        planner = begin(make())
+        sent = [planner.command(Goal([0.5, 0.1 + 1e-4 * tick, 0.3]), tick * TICK_NS) for tick in range(20, 200, 20)]
+        assert sent[1:] == [True] * (len(sent) - 1)
+
     def test_one_that_ends_is_held_where_it_was_last(self):
         planner = make()
         self.follow(planner, 0, 100)
