@@ -84,7 +84,7 @@ class ObserverNode(StoppableNode):
             "joint states Hz": observer.sight.rate.frequency,
             **findings(observer.report()),
         }
-        return observer.monitor.stop_reason or self.rivals, values
+        return observer.monitor.stop_reason or self.rivals or observer.report().verdict.doubt, values
 
     def _make_observer(self) -> Observer:
         return Observer(self.arm, ObserverSettings.from_sections(self.settings), self.settings[BUDGET], self.period)

@@ -352,8 +352,10 @@ class StackClient(Client):
 
     def _idle(self) -> str:
         """Which node on the way to the drive commands nothing, and why; empty if there is none."""
-        said = {name: self.summaries.get(name, "") for name in (CONTROLLER, ADAPTER)}
-        return "; ".join(f"{name}: {why}" for name, why in said.items() if why not in ("", topics.ALL_IS_WELL))
+        said = {name: self.summaries.get(name, "") for name in (CONTROLLER, ADAPTER, OBSERVER)}
+        idle = {name: why for name, why in said.items() if why not in ("", topics.ALL_IS_WELL)}
+        # The observer commands nothing: it only says why the others do not.
+        return "; ".join(f"{name}: {why}" for name, why in idle.items()) if idle.keys() != {OBSERVER} else ""
 
     def _plans_accepted(self) -> int:
         return int(self.diagnostics[CONTROLLER].get("plans accepted", 0))

@@ -130,8 +130,7 @@ def in_another_namespace(up, driver):
         ("lbr generation=later stiffness=200.0", None, "JointImpedanceControlMode(0, 0, 0, 0, 0, 0, 0)"),
         ("lbr generation=2024 open_loop=true", None, "set open_loop: false"),
         (KUKA, in_another_namespace, "there is /left/lbr/state: set lbr.driver"),
-        # The observer is silent between such states, or names the topic.
-        (FRANKA, with_slow_states, "nothing is commanded: controller: "),
+        (FRANKA, with_slow_states, "franka/joint_states"),
     ],
 )
 def test_a_wrong_set_up_is_named_before_the_arm_moves(set_up, change, words, packages, tmp_path):
