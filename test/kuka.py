@@ -180,7 +180,24 @@ def as_message(robot):
     return SimpleNamespace(**robot.message())
 
 
-class Adapted:
+class Guarded:
+    """What robots for `Stack` behind the adapter's guard have in common."""
+
+    stop_reason = ""
+    faults = ()
+    """Commands may be refused."""
+
+    def obstacles(self):
+        return self.robot.obstacles()
+
+    def contact_forces(self):
+        return self.robot.contact_forces()
+
+    def reset(self):
+        pass
+
+
+class Adapted(Guarded):
     """A robot for `Stack`: KUKA's arm behind the adapter, whose parts are the real ones.
 
     Attributes
@@ -190,10 +207,6 @@ class Adapted:
     problem
         Why the last command was not passed on; empty if it was.
     """
-
-    stop_reason = ""
-    faults = ()
-    """Commands may be refused."""
 
     def __init__(self, robot, settings=None):
         self.robot, arm, period = robot, robot.plant.arm, robot.period
@@ -227,15 +240,6 @@ class Adapted:
         if state is not None:
             self.guard.see(state, self.robot.now_ns)
         return [] if state is None else [state]
-
-    def obstacles(self):
-        return self.robot.obstacles()
-
-    def contact_forces(self):
-        return self.robot.contact_forces()
-
-    def reset(self):
-        pass
 
     def _send(self, torque, clock_ns):
         if torque is not None:

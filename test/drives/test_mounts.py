@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from arm_simulation import ARM
-from kuka import LATER, Adapted, KukaRobot
+from kuka import LATER, Adapted, Guarded, KukaRobot
 from test_fri import BehindAdapter, LineCore
 
 from contact_reach_ros.arm.model import RobotModel
@@ -33,11 +33,8 @@ def arm_on(mount):
     return dataclasses.replace(ARM, gravity=mounted(MOUNTS[mount]))
 
 
-class Carried:
+class Carried(Guarded):
     """A robot for `Stack`: an arm that holds the last torque for ever, behind the guard that carries it."""
-
-    stop_reason = ""
-    faults = ()
 
     def __init__(self, arm, assumed):
         self.robot = SimulatedRobot(load_scene("free", arm), WatchdogSettings(enabled=False))
@@ -56,15 +53,6 @@ class Carried:
         (state,) = self.robot.read()
         self.guard.see(state, self.robot.now_ns)
         return [state]
-
-    def obstacles(self):
-        return self.robot.obstacles()
-
-    def contact_forces(self):
-        return self.robot.contact_forces()
-
-    def reset(self):
-        pass
 
     def _send(self, torque, clock_ns):
         if torque is not None:
