@@ -71,7 +71,7 @@ class ObserverNode(StoppableNode):
         self._observer.reset((self.arrived_ns - self._seen_ns) / NANOSECONDS)
 
     def diagnosis(self) -> tuple[str, Mapping[str, Any]]:
-        """Ticks, counts, and the values of the safety state."""
+        """Why it stops the arm, or doubts what it gets; ticks, counts, and the values of the safety state."""
         observer = self._observer
         values = {
             "ticks": observer.updates,
