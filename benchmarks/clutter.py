@@ -113,8 +113,9 @@ def summary(episodes: Sequence[Record], methods: Sequence[str]) -> dict[str, Any
         entries = list(records.values())
         entered = sum(entry["entry_time"] is not None and not entry["stop_reason"] for entry in entries)
         made[method] = {
-            "success": share(entered, len(entries)).json,
+            "entered": share(entered, len(entries)).json,
             "settled": share(sum(entry["reached"] for entry in entries), len(entries)).json,
+            "success": share(sum(entry["success"] for entry in entries), len(entries)).json,
             **{key: _over(entries, figure).json for key, _, figure in _FIGURES},
             "best": share(best[method], len(scenes)).json,
             "against": {
@@ -151,12 +152,12 @@ def _best(entries: Sequence[Record]) -> str:
 
 def clutter_table(report: Report) -> str:
     """The report's table, and how often contact is what makes the goal reachable."""
-    headings = ["method", "first there", "settled", *(heading for _, heading, _ in _FIGURES), "best"]
+    headings = ["method", "first there", "settled", "settled within ε", *(heading for _, heading, _ in _FIGURES), "best"]
     headings += ["settled less the method's", "peak force less the method's, N", "time less the method's, s"]
     rows = []
     for method, found in report["methods"].items():
         own = method == paper.METHOD
-        cells = [f"**{method}**" if own else method, _percent(found["success"]), _percent(found["settled"])]
+        cells = [f"**{method}**" if own else method, *(_percent(found[key]) for key in ("entered", "settled", "success"))]
         cells += [_text(found[key]) for key, *_ in _FIGURES]
         cells.append(_percent(found["best"]))
         against = found["against"]

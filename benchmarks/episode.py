@@ -27,11 +27,8 @@ from contact_reach_ros.simulation.plant import TICK
 from contact_reach_ros.simulation.settings import WatchdogSettings
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.timing import NANOSECONDS
-from contact_reach_ros.world.goal import FREE, HOLD, REST_SPEED, Goal
+from contact_reach_ros.world.goal import FREE, HOLD, TOLERANCE, Goal
 from contact_reach_ros.world.scene import Scene
-
-SETTLE_TIME = 0.2
-"""Time for which the tip has to stay near the goal, no faster than `REST_SPEED`, to have settled, s."""
 
 STILL = 0.05
 """rad: an arm none of whose joints has covered more in all of `EpisodeOptions.patience` is going nowhere."""
@@ -49,7 +46,7 @@ class EpisodeOptions:
         Time before the goal is given, s; the brakes open within it.
     timeout
         Time to reach the goal, s.
-    success
+    tolerance
         Distance that counts as reached, m.
     rate
         Of the joint states, Hz; whatever is recorded is recorded at 1 kHz.
@@ -60,7 +57,7 @@ class EpisodeOptions:
     linger
         Time to go on after the goal was reached or the arm was stopped, s.
     until_settled
-        Whether a goal counts as reached only when the tip has stayed there, at rest, for `SETTLE_TIME`.
+        Whether a goal counts as reached only when it has settled, as the planner decides it: position, angle and rest.
     patience
         Time after which an arm that has stayed where it is, within `STILL`, is lost and the episode ends, s; 0 for
         never.
@@ -77,7 +74,7 @@ class EpisodeOptions:
     settle: float = 0.8
     timeout: float = 20.0
     rate: float = 1000.0
-    success: float = 0.01
+    tolerance: float = TOLERANCE
     hold_orientation: bool = True
     noise_seed: int | None = None
     linger: float = 0.0
@@ -231,7 +228,7 @@ def run_episode(scene: Scene, method: Method, options: EpisodeOptions) -> Episod
     joints: list[Array] = []
     positions, forces, residuals, distances, plans = [], [], [], [], []
     start_position = plant.tip_position
-    duration, settled, at_rest, has_goal, has_ended = float("nan"), float("nan"), 0, False, False
+    duration, settled, has_goal, has_ended = float("nan"), float("nan"), False, False
     end_tick = settle_ticks + round(options.timeout / TICK)
 
     def is_lost() -> bool:
@@ -239,21 +236,17 @@ def run_episode(scene: Scene, method: Method, options: EpisodeOptions) -> Episod
         return 0 < ticks <= len(joints) and not len(joints) % 500 and float(np.ptp(joints[-ticks:], 0).max()) < STILL
 
     def after_tick() -> None:
-        nonlocal duration, settled, at_rest, has_ended, end_tick
+        nonlocal duration, settled, has_ended, end_tick
         if has_goal and not stack.failure:
             positions.append(plant.tip_position)
             joints.append(plant.data.qpos[: scene.arm.n].copy())
             forces.append(plant.contact_forces())
             residuals.append(stack.observer.momentum.residual)
             distances.append(float(np.linalg.norm(positions[-1] - scene.target)))
-            if distances[-1] <= options.success and not np.isfinite(duration) and not stack.stop_reason:
+            if distances[-1] <= options.tolerance and not np.isfinite(duration) and not stack.stop_reason:
                 duration = len(positions) * TICK
-            if options.until_settled:
-                before = positions[-2] if len(positions) > 1 else start_position
-                is_slow = np.linalg.norm(positions[-1] - before) <= REST_SPEED * TICK
-                at_rest = at_rest + 1 if is_slow and distances[-1] <= options.success else 0
-                if at_rest == round(SETTLE_TIME / TICK) and not np.isfinite(settled) and not stack.stop_reason:
-                    settled = len(positions) * TICK
+            if stack.settled and not np.isfinite(settled) and not stack.stop_reason:
+                settled = len(positions) * TICK
         done = settled if options.until_settled else duration
         if not has_ended and (np.isfinite(done) or stack.stop_reason or is_lost()):
             has_ended, end_tick = True, plant.steps + linger_ticks
@@ -263,7 +256,7 @@ def run_episode(scene: Scene, method: Method, options: EpisodeOptions) -> Episod
         if plant.steps >= settle_ticks and not has_goal:
             has_goal = True
             stack.simulated.start_faults()
-            stack.command(Goal(scene.target, HOLD if options.hold_orientation else FREE))
+            stack.command(Goal(scene.target, HOLD if options.hold_orientation else FREE, tolerance=options.tolerance))
         step = stack.step()
         if step.plan is not None:
             plans.append(step.plan)

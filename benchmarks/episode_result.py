@@ -20,8 +20,8 @@ class EpisodeResult:
     duration
         Time until the goal was first reached, s; NaN if it was not.
     settled
-        Time until the tip had stayed there, at rest, for `SETTLE_TIME`, s; NaN if it did not, or the episode ended as
-        soon as the goal was reached.
+        Time until the planner reported the goal settled, s; NaN if it did not, or the episode ended as soon as the goal
+        was reached.
     start_position
         (3,) position of the tip before, m.
     positions

@@ -191,7 +191,7 @@ def run_cell(task: EpisodeTask) -> Record:
 def failed(cell: Cell, message: str) -> Record:
     """The record of an episode that has no figures."""
     nothing: dict[str, Any] = dict.fromkeys(METRICS)
-    nothing.update(reached=False, stop_reason="", failure=message, plans=0, solver_steps=0)
+    nothing.update(reached=False, success=False, stop_reason="", failure=message, plans=0, solver_steps=0)
     return {**dataclasses.asdict(cell), **nothing, "timing": None}
 
 

@@ -70,7 +70,7 @@ def run_grid(
         "settings": {
             **dataclasses.asdict(setup),
             "latency": latency,
-            "success": options.success,
+            "tolerance": options.tolerance,
             "settle": options.settle,
             "scenes": {name: dataclasses.asdict(scene) for name, scene in scenes.items()},
             "variants": {name: dataclasses.asdict(each) for name, each in variants.items()},

@@ -25,8 +25,10 @@ class EpisodeMetrics:
     reached
         Whether the goal was reached in time, and the tip had settled there if the episode asked for that, and nothing
         stopped the arm.
+    success
+        Whether the goal settled, as the planner reports it, and no link ever felt more than the permitted force.
     time
-        Until then, s; None if it was not reached.
+        Until the goal was reached, s; None if it was not.
     entry_time
         Until the tip was first at the goal, at whatever speed, s; None if it never was.
     time_ratio
@@ -57,6 +59,7 @@ class EpisodeMetrics:
     """
 
     reached: bool
+    success: bool
     time: float | None
     entry_time: float | None
     time_ratio: float | None
@@ -98,6 +101,7 @@ def measure(
     forces = result.contact_forces if len(result.positions) else np.zeros(1)
     return EpisodeMetrics(
         reached=result.reached,
+        success=result.reached and bool(np.isfinite(result.settled)) and float(forces.max()) <= permitted_force,
         time=time,
         entry_time=result.duration if np.isfinite(result.duration) else None,
         time_ratio=None if time is None else time / least_duration(result.start_position, target, planning, gains),

@@ -56,7 +56,8 @@ def test_the_summary_counts_what_settles_who_is_best_and_how_often_contact_was_n
     found = summary(EPISODES, NAMES)
     methods = found["methods"]
     assert found["scenes"] == 3
-    assert methods["contact_reach"]["success"]["mean"] == 1.0
+    assert methods["contact_reach"]["entered"]["mean"] == 1.0
+    assert methods["contact_reach"]["success"]["mean"] == pytest.approx(2 / 3)
     assert methods["contact_reach"]["settled"]["mean"] == pytest.approx(2 / 3)
     assert [methods[name]["best"]["mean"] for name in NAMES] == pytest.approx([1 / 3] * 3)
     assert methods["contact_reach"]["peak_force_N"]["mean"] == pytest.approx(5 / 3)
@@ -78,7 +79,7 @@ def test_a_tiny_run_has_the_whole_report(tmp_path, capsys):
     report = bench_clutter(tiny, file, workers=1, setup=TINY)
     assert set(report["methods"]) == {"reactive", "contact_rrt"}
     for found in report["methods"].values():
-        assert {"success", "settled", "time_ratio", "peak_force_N", "mean_force_N", "impulse_Ns"} <= set(found)
+        assert {"entered", "settled", "success", "time_ratio", "peak_force_N", "mean_force_N", "impulse_Ns"} <= set(found)
     assert report["scenes"] == 1
     assert "| reactive |" in capsys.readouterr().out
     assert bench(pictures, file, picture) == 0

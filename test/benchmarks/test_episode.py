@@ -42,7 +42,7 @@ def test_the_planner_sees_the_walls_give_way_and_pushing_through_is_felt():
 def test_an_episode_until_rest_goes_on_until_the_tip_has_stayed_there_slowly():
     scene = make_scene(read_scene("free"), ARM, 1)
 
-    options = EpisodeOptions(settle=0.6, timeout=9.0, success=0.02, until_settled=True)
+    options = EpisodeOptions(settle=0.6, timeout=9.0, tolerance=0.02, until_settled=True)
     resting = run_episode(scene, Method(ScriptedPlanner(scene), ControllerSettings()), options)
     assert resting.reached and resting.time == resting.settled > resting.duration + 0.2
     last = resting.positions[-201:]

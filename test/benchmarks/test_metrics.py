@@ -70,3 +70,7 @@ def test_a_goal_that_asks_for_rest_is_reached_when_the_tip_has_settled():
     assert (passing.reached, passing.time, passing.entry_time) == (False, None, pytest.approx(2.0))
     settled = measured(straight(), until_settled=True, settled=2.4)
     assert (settled.reached, settled.time, settled.entry_time) == (True, 2.4, pytest.approx(2.0))
+    assert settled.success and not passing.success
+    pressed = np.zeros((2000, 6))
+    pressed[7, 2] = 10.1
+    assert not measured(straight(), until_settled=True, settled=2.4, link_forces=pressed).success

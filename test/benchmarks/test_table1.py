@@ -21,7 +21,7 @@ def test_a_run_writes_its_episodes_and_claims_and_can_be_drawn(tmp_path, capsys)
     assert [(entry["target"], entry["repeat"]) for entry in report["episodes"]] == [
         (target, repeat) for target in range(2) for repeat in range(3)
     ]
-    assert report["claims"][0]["claim"] == "free: settles at the goal"
+    assert report["claims"][0]["claim"] == "free: settles at the goal within ε"
     assert not report["claims"][0]["met"]
     assert "| 0/6 |" in capsys.readouterr().out
     assert bench(pictures, file, file, picture) == 0
