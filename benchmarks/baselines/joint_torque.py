@@ -24,7 +24,7 @@ from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.controller import Controller
-from contact_reach_ros.control.kernels import repulsion_torque
+from contact_reach_ros.control.kernels import repulsion_torques
 from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective, ReferenceSpace, knot_bounds, make_objective
@@ -291,6 +291,6 @@ class TorqueController(Controller):
         held = reference_at(self._plans, now_ns + 1)
         torque = self.model.bias.copy()
         torque += held.torque if isinstance(held, HeldTorque) else -self._damping * v
-        torque += repulsion_torque(self._limits_only, q, v)
+        torque += sum(repulsion_torques(self._limits_only, self.model.mass_matrix, q, v))
         limits = self.arm.torque_limits
         return np.clip(torque, -limits, limits)

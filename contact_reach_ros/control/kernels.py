@@ -54,6 +54,10 @@ class Constant(IntEnum):
 _POSITION_ROWS, _AXIS_ROWS = 3, 5
 """`TASK_ROWS` of translation alone, and of translation and the direction of the tip's z axis."""
 
+_APPROACH = 0.02
+"""Speed towards a position limit at which half of the repulsion stops the joint, whatever the caps say, rad/s."""
+_REPULSION = 250.0
+"""Acceleration by the repulsion at a position limit, rad/s²: law (1) asks for less within its bounds."""
 REPULSION_MARGIN = 0.1
 """Distance to a position limit at which repulsion begins, rad: a fast joint needs it to come to rest."""
 _POSTURE_REACH = 0.25
@@ -369,7 +373,7 @@ def body_shares(
     mass_factor
         Cholesky factor L of M, (n, n).
     driving
-        Torques (2, n), N m, of the stiffness of law (1) and that of law (2).
+        Torques (2, n), N m, of the stiffness of law (1), and of that of law (2) with the push away from limits.
     braking
         Torque (n,), N m, of damping.
     """
@@ -459,23 +463,27 @@ def law_torques(
 
 
 @_compiled()
-def repulsion_torque(constants: Array, q: Array, v: Array) -> Array:
-    """Torque (n,) in N m that pushes joints out of a margin before their position limits.
+def repulsion_torques(constants: Array, mass_matrix: Array, q: Array, v: Array) -> tuple[Array, Array]:
+    """Torques (n,) in N m that push joints out of a margin before their position limits, and that brake them there.
 
-    It grows with the square of the depth, so that it starts without a step, and reaches the given share of the joint's
-    torque limit at the position limit. Damping acts on motion towards the limit and grows in the same way.
+    The sum grows with the square of the depth, so that it starts without a step, and reaches the given share of the
+    joint's torque limit at the position limit, or what accelerates the joint with `_REPULSION`. It brakes a joint that approaches the limit, with damping that grows in
+    the same way, and pushes one that does not: that push is one of those that the caps bound.
     """
     n = len(q)
     lower, upper = constants[Constant.LOWER_THRESHOLD], constants[Constant.UPPER_THRESHOLD]
     strength, damping = constants[Constant.REPULSION_STRENGTH], constants[Constant.REPULSION_DAMPING]
-    torque = np.zeros(n)
+    pushing, stopping = np.zeros(n), np.zeros(n)
     for i in range(n):
         side = 1.0 if q[i] - upper[i] >= lower[i] - q[i] else -1.0
         depth = min(max(q[i] - upper[i], lower[i] - q[i]) / REPULSION_MARGIN, 1.5)
         if depth > 0.0:
             approach = max(side * v[i], 0.0)
-            torque[i] = -side * depth * (strength[i] * depth + damping[i] * approach)
-    return torque
+            share = approach / (approach + _APPROACH)
+            spring = min(strength[i], _REPULSION * mass_matrix[i, i]) * depth
+            pushing[i] = -side * depth * spring * (1.0 - share)
+            stopping[i] = -side * depth * (spring * share + damping[i] * approach)
+    return pushing, stopping
 
 
 @_compiled(_RESULT, _MATRIX, _VECTOR, _VECTOR, float64)
@@ -585,12 +593,12 @@ def tracking_torque(
     driving, braking, rest = law_torques(
         constants, factor, rows[:, :n], rows[:, n], rows[:, n + 1], rows[:, n + 2], posture_error, v
     )
+    pushing, stopping = repulsion_torques(constants, mass_matrix, q, v)
+    for i in range(n):
+        driving[1, i] += pushing[i]
     found[6], push = body_shares(constants, placements, links, points, q, v, factor, driving, braking)
     push = min(push, max((1.0 + _FADE - found[6]) / _FADE, 0.0))
-    torque = push * (driving[0] + driving[1]) + braking + rest
-    repulsion = repulsion_torque(constants, q, v)
-    for i in range(n):
-        torque[i] += repulsion[i]
+    torque = push * (driving[0] + driving[1]) + braking + rest + stopping
     share = constants[Constant.GRAVITY_SHARE]
     for i in range(n):
         torque[i] = authority * (torque[i] + bias[i] - gravity[i]) + share[i] * gravity[i]

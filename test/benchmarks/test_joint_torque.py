@@ -47,7 +47,7 @@ def test_step_is_the_arms_motion_under_gravity_compensation_and_the_torque():
 
 
 def test_an_episode_gets_nearer_to_its_goal():
-    planner = TorquePlanner(ARM, SETTINGS, GAINS, 10.0, 0, joint_damping(ARM))
+    planner = TorquePlanner(ARM, SETTINGS, CONTROLLER, 10.0, 0, joint_damping(ARM))
     planner.warm_up(lambda line: None)
     scene = Scene("free", ARM, 0, HOME, GOAL.position)
     method = Method(planner, CONTROLLER, TorqueController)

@@ -68,6 +68,17 @@ def test_plans_that_drive_a_joint_into_its_limit_do_not_get_there(joint, side):
     assert near
 
 
+@pytest.mark.parametrize("joint", [0, 4, 5, 6])
+def test_an_arm_that_starts_near_a_limit_is_not_thrown_off_it(joint):
+    start = HOME.copy()
+    start[joint] = POSITION_LIMITS[joint] - 0.03
+    loop = ClosedLoop(ideal_plant(start))
+    for _ in loop.run(1.5):
+        assert np.abs(loop.v[joint]) < 0.65
+    assert not loop.controller.stop_reason
+    assert 0.04 < POSITION_LIMITS[joint] - loop.q[joint] < REPULSION_MARGIN
+
+
 def null_direction(loop: ClosedLoop) -> np.ndarray:
     """How the joints move, (7,) of length 1, while the flange rests: A1 outwards."""
     model = loop.controller.model
