@@ -152,12 +152,13 @@ def _best(entries: Sequence[Record]) -> str:
 
 def clutter_table(report: Report) -> str:
     """The report's table, and how often contact is what makes the goal reachable."""
-    headings = ["method", "first there", "settled", "settled within ε", *(heading for _, heading, _ in _FIGURES), "best"]
-    headings += ["settled less the method's", "peak force less the method's, N", "time less the method's, s"]
+    headings = ["method", "first there", "settled", "settled within ε", *(heading for _, heading, _ in _FIGURES)]
+    headings += ["best", "settled less the method's", "peak force less the method's, N", "time less the method's, s"]
     rows = []
     for method, found in report["methods"].items():
         own = method == paper.METHOD
-        cells = [f"**{method}**" if own else method, *(_percent(found[key]) for key in ("entered", "settled", "success"))]
+        cells = [f"**{method}**" if own else method]
+        cells += [_percent(found[key]) for key in ("entered", "settled", "success")]
         cells += [_text(found[key]) for key, *_ in _FIGURES]
         cells.append(_percent(found["best"]))
         against = found["against"]

@@ -466,9 +466,10 @@ def law_torques(
 def repulsion_torques(constants: Array, mass_matrix: Array, q: Array, v: Array) -> tuple[Array, Array]:
     """Torques (n,) in N m that push joints out of a margin before their position limits, and that brake them there.
 
-    The sum grows with the square of the depth, so that it starts without a step, and reaches the given share of the
-    joint's torque limit at the position limit, or what accelerates the joint with `_REPULSION`. It brakes a joint that approaches the limit, with damping that grows in
-    the same way, and pushes one that does not: that push is one of those that the caps bound.
+    The sum grows with the square of the depth, so that it starts without a step. At the position limit it is the given
+    share of the joint's torque limit, or what accelerates the joint with `_REPULSION`. It brakes a joint that
+    approaches the limit, with damping that grows in the same way, and pushes one that does not: that push is one of
+    those that the caps bound.
     """
     n = len(q)
     lower, upper = constants[Constant.LOWER_THRESHOLD], constants[Constant.UPPER_THRESHOLD]
