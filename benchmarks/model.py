@@ -1,7 +1,7 @@
 """The planner's transfer model against MuJoCo, and against Brax: the plans of closed-loop runs, rolled out by each.
 
 Every model starts from the state for which the plan was made, with the references in force then, and follows the plan's
-actions. MuJoCo's is the simulated robot at 1 ms under the controller's own law, without joint friction. The plans are
+actions. MuJoCo's is the simulated robot at 1 ms under the controller's own law with its limits, without joint friction. The plans are
 made without a weight on permitted contact, so that the arm leans on what it may touch.
 """
 
@@ -19,13 +19,14 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from benchmarks.law import ImpedanceLaw, pose_error
 from benchmarks.output import command_line, given, percentiles, run_command, say, table, write_report
 from benchmarks.recorded_plans import RecordedPlan, record_plans
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.task import AXIS
 from contact_reach_ros.arms import load_arm
+from contact_reach_ros.control.constants import body_of, make_constants
+from contact_reach_ros.control.kernels import tracking_torque
 from contact_reach_ros.control.references import Reference, Way
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import ReferenceSpace
@@ -95,7 +96,8 @@ def simulate(
     data = plant.data
     data.qvel[: arm.n] = v
     gains = (gains or ImpedanceSettings()).resolve(arm)
-    law, model = ImpedanceLaw(arm, gains), RobotModel(arm)
+    model, constants, sent = RobotModel(arm), make_constants(arm, gains), None
+    body, found = body_of(model), np.zeros(7)
     before = before or Reference(*model.tip_pose(scene.start), scene.start)
     motion: list[tuple[Array, Array, Array, Array]] = []
     for action in actions:
@@ -110,8 +112,28 @@ def simulate(
             share = min(1.0, tick * TICK / gains.reference_ramp) if gains.reference_ramp else 1.0
             reference = Way(before, knot).at(share)
             model.update(q, v)
-            error = pose_error(model.position, model.rotation, reference, gains.task)
-            plant.step(law.torque(model, v, q - reference.posture, error) + model.bias)
+            sent = tracking_torque(
+                constants,
+                model.mass_matrix,
+                model.bias,
+                model.gravity,
+                model.position,
+                model.rotation,
+                model.jacobian,
+                model.twist,
+                model.drift,
+                reference.position,
+                reference.rotation,
+                reference.posture,
+                *body,
+                q,
+                v,
+                1.0,
+                model.bias if sent is None else sent,
+                TICK,
+                found,
+            )
+            plant.step(sent)
             force = np.maximum(force, normal_forces(plant))
         before = knot
         model.update(q, v)

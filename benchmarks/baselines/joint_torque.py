@@ -38,7 +38,7 @@ from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import contact_step
 from contact_reach_ros.planning.transfer.dynamics import Dynamics, arm_dynamics, link_frames
 from contact_reach_ros.planning.transfer.lanes import make_keep, ratio
-from contact_reach_ros.planning.transfer.pipeline import MAX_JOINT_SPEED, Reference, State, System, factorise_mass
+from contact_reach_ros.planning.transfer.pipeline import Reference, State, System, capped, factorise_mass
 from contact_reach_ros.timing import PERIOD
 
 SIGMA = 0.05
@@ -95,7 +95,7 @@ def torque_step(system: System, state: State, act: HeldTorque) -> State:
         added = timestep * act.damping[:, None] * np.eye(state.q.shape[0])[:, :, None]
         dynamics = dynamics._replace(mass_matrix=dynamics.mass_matrix + added)
     acceleration = _driven_acceleration(dynamics, torque)
-    qd = jnp.clip(state.qd + timestep * acceleration, -MAX_JOINT_SPEED, MAX_JOINT_SPEED)
+    qd = capped(system.arm, state.qd + timestep * acceleration)
     return State(q + (0.5 * timestep) * qd, qd, obstacles, link_force)
 
 

@@ -12,6 +12,7 @@ from contact_reach_ros.control.kernels import REPULSION_MARGIN, Constant
 from contact_reach_ros.control.settings import (
     BODY_STIFFNESS,
     IMPACT_ENERGY,
+    JOINT_SHARE,
     SINGULARITY_FLOOR,
     ImpedanceSettings,
     LimitSettings,
@@ -25,8 +26,6 @@ REPULSION_SHARE = 0.5
 REPULSION_DAMPING = 10.0
 """Damping of motion towards a limit, at the limit, N m s/rad, for the strongest joint; the others' are in proportion to
 their torque limits. Without it the repulsion would throw the joint back."""
-JOINT_SHARE = 0.7
-"""Joint speed beyond which the arm is not driven, as a share of the data sheet's limit."""
 
 STOP_DELAY = 0.01
 """Delay of the drive and its filters that a stop stays stable with, besides a period, s."""

@@ -19,6 +19,8 @@ BODY_STIFFNESS = 75e3
 IMPACT_ENERGY = 0.13
 """Kinetic energy in the direction of a point's motion beyond which the arm is not driven, J: a body of 75 N/mm is hit
 with 140 N."""
+JOINT_SHARE = 0.7
+"""Joint speed beyond which the arm is not driven, as a share of the data sheet's limit."""
 SINGULARITY_FLOOR = 0.03
 """Eigenvalues of J M⁻¹ Jᵀ below this are lifted, 1/kg, which bounds Λ: it costs less than 1 mm
 while the elbow is bent by 0.4 rad, see docs/control.md."""

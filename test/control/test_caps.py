@@ -7,9 +7,9 @@ from arm_simulation import random_states
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.control.constants import JOINT_SHARE, body_of, make_constants
+from contact_reach_ros.control.constants import body_of, make_constants
 from contact_reach_ros.control.kernels import body_shares, factorise, push_share
-from contact_reach_ros.control.settings import IMPACT_ENERGY, ImpedanceSettings, LimitSettings
+from contact_reach_ros.control.settings import IMPACT_ENERGY, JOINT_SHARE, ImpedanceSettings, LimitSettings
 
 LIMITS, GAINS = LimitSettings(), ImpedanceSettings()
 

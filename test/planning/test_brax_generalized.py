@@ -23,7 +23,7 @@ def test_it_moves_the_arm_as_the_closed_loop_does():
     random = np.random.default_rng(1)
     bounds = knot_bounds(ARM, SMALL)
     # Always ahead, so that the arm goes somewhere; turns and elbow at random.
-    share = random.uniform(-1.0, 1.0, (SMALL.horizon, len(bounds), 4)).astype(np.float32)
+    share = random.uniform(-0.4, 0.4, (SMALL.horizon, len(bounds), 4)).astype(np.float32)
     share[:, :3] = np.array([[1.0, 1.0, 1.0, -1.0], [1.0, -1.0, 1.0, 1.0], [1.0, 1.0, -1.0, 1.0]])
     problem = make_problem(HOME, HOME[:3], None)._replace(v=jnp.asarray(random.uniform(-0.2, 0.2, (7, 1))))
     actions = share * bounds[None, :, None]

@@ -115,18 +115,6 @@ def cast(problem: Problem, dtype: type) -> Problem:
     return jax.tree.map(lambda leaf: np.asarray(leaf, dtype), problem)
 
 
-@pytest.mark.parametrize("share", [0.9, 6.0])
-def test_joint_speeds_cost_from_their_limits_on(roll_out, share):
-    limits = np.array(ARM.velocity_limits)
-    problem = make_problem(HOME, FLANGE, ball(FAR_BALL))
-    rollout, terms = roll_out(problem._replace(v=jnp.asarray(share * limits[:, None])), STILL)
-    # The law brakes the arm within the first knot.
-    speeds = np.abs(np.diff(rollout.q[:, :, 0], axis=0)) / SMALL.knot_duration
-    excess = np.maximum(speeds - limits, 0.0)
-    assert excess.any() == (share > 1.0)
-    assert terms["joint_speed"][0] == pytest.approx(TERMS["joint_speed"].weight * (excess**2).sum(), rel=1e-3, abs=1e-9)
-
-
 @pytest.mark.parametrize(("joint", "speed"), [(0, 0.1), (0, 8.0), (3, 8.0)])
 def test_points_faster_than_the_controllers_caps_cost(roll_out, joint, speed):
     problem = make_problem(HOME, FLANGE, ball(FAR_BALL))
@@ -191,8 +179,8 @@ class TestTerms:
 
 
 def test_a_term_needs_a_name_of_its_own():
-    with pytest.raises(SettingsError, match="cost term 'joint_speed': expected a new name"):
+    with pytest.raises(SettingsError, match="cost term 'joint_limit': expected a new name"):
 
         @term("own_weight")
-        def joint_speed(context):
+        def joint_limit(context):
             return context.position[2, -1]

@@ -62,7 +62,8 @@ def test_variables_are_what_has_an_effect_and_the_model_moves_as_the_arm_does(ca
         term_weights(SMALL),
         PERMITTED_FORCE,
     )
-    points = random.uniform(-1.0, 1.0, (len(space.bounds), LANES))
+    # As plans do, within what the controller's caps on force and speed let pass.
+    points = random.uniform(-0.2, 0.2, (len(space.bounds), LANES))
     actions = np.asarray(space.actions(jnp.asarray(points), problem), float)
     assert (actions != 0.0).any(axis=(0, 2)).sum() == variables
     rollout = jax.jit(space.objective.roll_out)(problem, jnp.asarray(actions))

@@ -13,12 +13,13 @@ where a is the task acceleration that law (1) asks for; C + g cancel, because th
 torques go through one Cholesky factorisation each of M and of J M⁻¹ Jᵀ.
 
 Near singularities the controller lifts small eigenvalues of J M⁻¹ Jᵀ, which here would need an eigenvalue decomposition
-of every candidate. Instead, the pivots of its factorisation are lifted by the same rule. A pivot is never below the
-smallest eigenvalue, so that both leave the matrix alone in the same places, and Λ is bounded in both.
+of every candidate. Instead, the pivots of its factorisation are lifted by the same rule. Away from singularities both
+leave the matrix alone. Near them Λ differs, and joint speeds are capped as the controller caps them.
 """
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -27,7 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from contact_reach_ros.arm.task import AXIS, POSE
-from contact_reach_ros.control.settings import SINGULARITY_FLOOR, ImpedanceSettings
+from contact_reach_ros.control.settings import JOINT_SHARE, SINGULARITY_FLOOR, ImpedanceSettings
 from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, contact_step
 from contact_reach_ros.planning.transfer.dynamics import Dynamics, Frames, arm_dynamics, flange_drift, link_frames
 from contact_reach_ros.planning.transfer.lanes import cross, dot, make_keep, ratio, root, rotate
@@ -36,12 +37,9 @@ from contact_reach_ros.planning.transfer.model import ArmModel
 N_TASK = 6
 """Size of Δx in actions, whatever part of it law (1) controls."""
 
-MAX_JOINT_SPEED = 10.0
-"""Joint speeds are cut off here, rad/s, four times the limit of the fastest joint.
-
-At a singularity the laws ask for joint speeds that 25 ms steps cannot follow. With the cut-off such rollouts stay
-finite, and the cost of joint speeds keeps plans away from them.
-"""
+_CAP = 1.05 * JOINT_SHARE
+"""Share of a joint's speed limit at which the controller's push has faded: at a singularity the laws would ask for
+joint speeds that 25 ms steps cannot follow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +135,14 @@ def step(sys: System, state: State, act: Reference) -> State:
         obstacles = obstacles._replace(center=contact.center)
         link_force = contact.link_force
     acceleration = joint_acceleration(sys.gains, frames, dynamics, drift, q, state.qd, act, contact, timestep)
-    qd = jnp.clip(state.qd + timestep * acceleration, -MAX_JOINT_SPEED, MAX_JOINT_SPEED)
+    qd = capped(sys.arm, state.qd + timestep * acceleration)
     return State(q + (0.5 * timestep) * qd, qd, obstacles, link_force)
+
+
+def capped(arm: ArmModel, qd: jax.Array) -> jax.Array:
+    """Joint speeds (n, B), rad/s, of which none is above what the controller's caps leave, in the same proportions."""
+    share = functools.reduce(jnp.maximum, jnp.abs(qd) / (_CAP * arm.velocity_limit)[:, None])
+    return qd / jnp.maximum(share, 1.0)
 
 
 def joint_acceleration(
