@@ -1,8 +1,8 @@
 """The planner's transfer model against MuJoCo, and against Brax: the plans of closed-loop runs, rolled out by each.
 
 Every model starts from the state for which the plan was made, with the references in force then, and follows the plan's
-actions. MuJoCo's is the simulated robot at 1 ms under the controller's own law with its limits, without joint friction. The plans are
-made without a weight on permitted contact, so that the arm leans on what it may touch.
+actions. MuJoCo's is the simulated robot at 1 ms under the controller's own law with its limits, without joint friction.
+The plans are made without a weight on permitted contact, so that the arm leans on what it may touch.
 """
 
 from __future__ import annotations
@@ -73,6 +73,7 @@ def simulate(
     before: Reference | None = None,
     spheres: Array | None = None,
     gains: ImpedanceSettings | None = None,
+    constants: Array | None = None,
 ) -> Motion:
     """The simulated robot from the start of a scene with the speeds `v` (n,), under the actions (H, 6 + n).
 
@@ -86,6 +87,8 @@ def simulate(
         (K, 3) positions of the obstacles' spheres at the start, m; by default at rest.
     gains
         Of the law and its references; by default the package's.
+    constants
+        Of the controller; by default those of the gains, with the package's limits.
     """
     arm = scene.arm
     plant = Plant(scene, JointSettings(viscous_friction=0.0, coulomb_friction=0.0))
@@ -96,7 +99,8 @@ def simulate(
     data = plant.data
     data.qvel[: arm.n] = v
     gains = (gains or ImpedanceSettings()).resolve(arm)
-    model, constants, sent = RobotModel(arm), make_constants(arm, gains), None
+    model, sent = RobotModel(arm), None
+    constants = make_constants(arm, gains) if constants is None else constants
     body, found = body_of(model), np.zeros(7)
     before = before or Reference(*model.tip_pose(scene.start), scene.start)
     motion: list[tuple[Array, Array, Array, Array]] = []
