@@ -57,6 +57,7 @@ def test_example(name, tmp_path):
         assert with_it > without + 30
 
 
+@pytest.mark.slow
 def test_program_of_the_library_page_reaches_its_goal(tmp_path):
     program = blocks("docs/library.md")[0]
     assert program in blocks("README.md")

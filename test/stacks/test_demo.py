@@ -171,6 +171,7 @@ def recorded(bag):
         return {f"/{name}": list(map(repr, reader.messages(f"/{name}"))) for name in SAME}
 
 
+@pytest.mark.slow
 def test_a_run_beside_a_busy_program_is_the_same_to_the_last_digit(ball, killed):
     """Joint states, commands, external torques and plans; in the end nodes do not wait for those that are gone."""
     first = recorded(ball[2])

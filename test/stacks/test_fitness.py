@@ -23,6 +23,7 @@ def test_ticks_in_between_count_and_the_newest_percentiles():
 
 
 @pytest.mark.usefixtures("signal_handlers")
+@pytest.mark.slow
 def test_the_loop_of_the_running_stack_is_timed_beside_another_program(monkeypatch, tmp_path, capsys):
     file = parameter_file(tmp_path / "patient.yaml", planner=PATIENT_PLANNER)
     monkeypatch.setattr(fitness, "BringupOptions", partial(BringupOptions, parameters=str(file)))
