@@ -58,7 +58,7 @@ _APPROACH = 0.02
 """Speed towards a position limit at which half of the repulsion stops the joint, whatever the caps say, rad/s."""
 _REPULSION = 250.0
 """Acceleration by the repulsion at a position limit, rad/s²: law (1) asks for less within its bounds."""
-REPULSION_MARGIN = 0.1
+REPULSION_MARGIN = 0.04
 """Distance to a position limit at which repulsion begins, rad: a fast joint needs it to come to rest."""
 _POSTURE_REACH = 0.25
 """Distance of a joint from its reference posture beyond which law (2) pulls no harder, rad: plans ask for less."""

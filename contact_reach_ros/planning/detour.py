@@ -46,8 +46,8 @@ _METRES_PER_RADIAN = 0.2
 _SEEDS_NEAR, _SEEDS_ANYWHERE, _SPREAD = 64, 192, 0.5
 """Postures from which inverse kinematics searches, the former with this standard deviation around the arm's, rad."""
 
-_MARGINS = 0.2, 0.05
-"""Distances from the joints' limits, rad, the second for goals that no posture reaches with the first."""
+_MARGINS = 0.2, 0.05, 0.02
+"""Distances from the joints' limits, rad, each for goals that no posture reaches with the one before."""
 
 _OTHER = 0.3
 """By as much at least does a joint of the posture differ from what it is, and from that of the last detour, rad."""

@@ -84,8 +84,8 @@ class Rollout(NamedTuple):
     """(H + 1, ...) capsules of the links at the knot boundaries."""
 
 
-JOINT_LIMIT_MARGIN = 0.1
-"""Distance from a joint's limit at which its cost starts, rad: half of what γ lets a joint move in a knot."""
+JOINT_LIMIT_MARGIN = 0.05
+"""Distance from a joint's limit at which its cost starts, rad: a quarter of what γ lets a joint move in a knot."""
 
 CLEARANCE_MARGIN = 0.02
 """Distance from rigid bodies, and between the arm's own capsules, at which their cost starts, m: two steps of γ."""
@@ -247,7 +247,7 @@ def detour(context: Context) -> jax.Array:
     return jnp.sqrt(sum_over(error * error, 0) + 1e-6)
 
 
-@term(20.0)
+@term(80.0)
 def joint_limit(context: Context) -> jax.Array:
     """Squared intrusion of the joints into the margin of their position limits, rad².
 
