@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -113,6 +114,16 @@ def test_gradient_agrees_with_finite_differences(costs_and_slopes, touching):
 
 def cast(problem: Problem, dtype: type) -> Problem:
     return jax.tree.map(lambda leaf: np.asarray(leaf, dtype), problem)
+
+
+@pytest.mark.parametrize("share", [0.4, 0.7])
+def test_joint_speeds_cost_from_half_of_their_limits_on(share):
+    limits = np.array(ARM.velocity_limits)
+    q = HOME[:, None, None] + share * limits[:, None, None] * np.arange(4.0)[:, None] * SMALL.knot_duration
+    context = SimpleNamespace(q=jnp.asarray(q), knot_duration=SMALL.knot_duration, arm=arm_model(ARM))
+    excess = max(share - 0.5, 0.0) * limits
+    found = TERMS["joint_speed"].value(context)
+    np.testing.assert_allclose(found, np.full((3, 1), (excess**2).sum()), rtol=1e-4, atol=1e-9)
 
 
 @pytest.mark.parametrize(("joint", "speed"), [(0, 0.1), (0, 8.0), (3, 8.0)])
