@@ -8,7 +8,9 @@ another rate than the wall clock.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ import numpy as np
 from contact_reach_ros.arm import Arm, tip_positions
 from contact_reach_ros.arms import EARLIER_DIGESTS, ROBOT_DIGEST, ROBOT_TABLE, arm_in, load_arm
 from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, read_raw
+from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.messages.intake import COLUMNS, Taken
@@ -39,6 +42,8 @@ _SPARSE = {
     "intake/controller": "std_msgs/msg/Int64MultiArray",
 }
 """Types of the topics with few messages."""
+_LONG = 300_000
+"""Messages of a topic, five minutes of a 1 kHz arm, from which on it is thinned for a report."""
 
 _REFUSED = "refused"
 """Phase of a goal that is not pursued."""
@@ -153,7 +158,7 @@ class EpisodeSignals:
     safety :
         Changes of the safety states, ordered by time; repetitions are left out.
     safety_states :
-        All safety states: time, s, and decoded message.
+        All safety states: time, s, and decoded message; of a report those of the changes.
     goals :
         Positions of the goals that the planner accepted, m: the columns x, y and z.
     refused_goals :
@@ -162,8 +167,10 @@ class EpisodeSignals:
         The driver's count of missed ticks: one column.
     plans :
         Statistics of the plans, in the order in which they take effect.
+    ticks :
+        (n,) times of all joint states, s, also where the series are thinned.
     state_sent_ns :
-        (n,) when joint states were sent, ns since the epoch, in the order of their series.
+        (n,) when they were sent, ns since the epoch.
     answers_ns :
         (n,) from the sending of a joint state to the sending of its command, ns.
     settings :
@@ -185,6 +192,7 @@ class EpisodeSignals:
     refused_goals: Series
     missed_ticks: Series
     plans: tuple[PlanStatistics, ...]
+    ticks: np.ndarray
     state_sent_ns: np.ndarray
     answers_ns: np.ndarray
     settings: Mapping[str, Mapping[str, Any]]
@@ -202,10 +210,15 @@ class EpisodeSignals:
         return np.asarray(times - np.append(effects, np.nan)[rows])
 
 
+def settings_of_bag(bag: BagReader) -> dict[str, Mapping[str, Any]]:
+    """The last settings of each node."""
+    statuses = () if SETTINGS in _of_other_types(bag) else bag.messages(f"/{SETTINGS}")
+    return {status.name: read_settings(status) for status in statuses}
+
+
 def arm_of_bag(bag: BagReader) -> Arm:
     """The arm that the nodes of a bag had, with its last tool; raises `BagError` as `recorded_arm`."""
-    statuses = () if SETTINGS in _of_other_types(bag) else bag.messages(f"/{SETTINGS}")
-    return recorded_arm({status.name: read_settings(status) for status in statuses})
+    return recorded_arm(settings_of_bag(bag))
 
 
 def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:
@@ -231,8 +244,14 @@ def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:
     return found or load_arm()
 
 
-def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
-    """Read an episode; joints and contact links are mapped by name to those of the arm."""
+def read_signals(
+    bag: BagReader, arm: Arm, watch: Mapping[str, Callable[[Column], None]] | None = None
+) -> EpisodeSignals:
+    """Read an episode; joints and contact links are mapped by name to those of the arm.
+
+    `watch` is for reports, which keep little of a long recording: long series are thinned so that no peak is lost, and
+    its functions are given all messages of a topic, part by part.
+    """
     joints, count = arm.joint_names, arm.n
     commands = next((name for name in COMMANDS if f"/{name}" in bag.topics), COMMANDS[-1])
     columns: dict[str, Collector] = {
@@ -241,23 +260,55 @@ def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
         "external_torque": JointStates(("effort",), joints),
         "sim/contacts": JointStates(("effort",), (*arm.contact_links, "sum", "max")),
     }
-    sparse: dict[str, list[RawMessage]] = {name: [] for name in _SPARSE}
+    ticks, sent = [np.zeros((2, 0), np.int64)], [np.zeros((2, 0), np.int64)]
+    columns["joint_states"].watches.append(lambda part: ticks.append(np.stack([part.time_ns, part.publish_ns])))
+    columns[commands].watches.append(lambda part: sent.append(np.stack([part.sequence, part.publish_ns])))
+    for name, column in columns.items() if watch is not None else ():
+        column.thinned = f"/{name}" in bag.topics and bag.topics[f"/{name}"].message_count > _LONG
+        column.watches += [watch[name]] if name in watch else []
+    sparse: dict[str, list[tuple[int, Any]]] = {name: [] for name in _SPARSE}
     other = _of_other_types(bag)
-    few = {f"/{name}": messages.append for name, messages in sparse.items() if name not in other}
-    read_raw(bag, {f"/{name}": column for name, column in columns.items()} | few)
+    take: dict[str, Callable[[Any], Any]] = {
+        "diagnostics": lambda message: list(_missed_ticks(message)) or None,
+        "goal/state": _refused_stamp,
+        "intake/controller": lambda message: _answered(message.data),
+        "plan/statistics": lambda message: list(_plans(message)),
+        "safety_state": (lambda message: message) if watch is None else _Changes(),
+    }
+
+    def few(name: str, messages: Messages) -> None:
+        """Keep of each message what is needed; those that cannot be decoded are left out, as the bag's notes say."""
+        for _, *row in messages.tolist():
+            raw = RawMessage(f"/{name}", *row)
+            message = bag.decode(raw)
+            taken = None if message is None else take.get(name, lambda message: message)(message)
+            if taken is not None:
+                sparse[name].append((raw.log_time_ns, taken))
+
+    read_raw(
+        bag,
+        {f"/{name}": column for name, column in columns.items()}
+        | {f"/{name}": partial(few, name) for name in sparse if name not in other},
+    )
     state, command, torque, contact = (column.column() for column in columns.values())
+    answers_ns = _answers(np.concatenate(sent, axis=1), [taken for _, taken in sparse.pop("intake/controller")])
     clock = Clock(state)
 
     def received(name: str) -> list[tuple[float, Any]]:
-        """Time, s, and message; those that cannot be decoded are left out, which the bag's notes mention."""
-        times = clock.of_receptions(np.array([raw.log_time_ns for raw in sparse[name]], np.int64)).tolist()
-        pairs = zip(times, map(bag.decode, sparse[name]), strict=True)
-        return [(time, message) for time, message in pairs if message is not None]
+        """Time, s, and what is kept of a message."""
+        times = clock.of_receptions(np.array([log_ns for log_ns, _ in sparse[name]], np.int64)).tolist()
+        return list(zip(times, (taken for _, taken in sparse[name]), strict=True))
 
     state_times = clock.of_stamps(state)
+    states_ns, sent_ns = np.concatenate(ticks, axis=1)
     safety_states = received("safety_state")
-    settings = {status.name: read_settings(status) for _, status in received(SETTINGS)}
-    plans = [plan for _, array in received("plan/statistics") for plan in _plans(clock, array)]
+    plans = [
+        PlanStatistics((effect_ns - clock.origin_ns) / NANOSECONDS, *rest)
+        for _, found in sparse["plan/statistics"]
+        for effect_ns, *rest in found
+    ]
+    missed = [(time, number) for time, numbers_ in received("diagnostics") for number in numbers_]
+    missed_table = np.array(missed).reshape(-1, 2)
     goals, refused_goals = _goals(received("goal_pose"), received("goal/state"), arm.base_frame)
     return EpisodeSignals(
         clock,
@@ -271,11 +322,12 @@ def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
         safety_states,
         goals,
         refused_goals,
-        _missed_ticks(received("diagnostics")),
+        Series(missed_table[:, 0], ("missed ticks",), missed_table[:, 1:]),
         tuple(sorted(plans, key=lambda plan: plan.time)),
-        state.publish_ns,
-        _answers(command, [message.data for _, message in received("intake/controller")]),
-        settings,
+        (states_ns - clock.origin_ns) / NANOSECONDS,
+        sent_ns,
+        answers_ns,
+        {status.name: read_settings(status) for _, status in sparse[SETTINGS]},
         (
             *(f"{name}: is {kind}, expected {_SPARSE[name]}; it is left out" for name, kind in other.items()),
             *_oddities(
@@ -320,39 +372,60 @@ def _of_other_types(bag: BagReader) -> dict[str, str]:
     return {name: kind for name, kind in types.items() if kind != _SPARSE[name]}
 
 
-def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[SafetyEvent]:
-    """The statuses with a new state: some nodes repeat theirs as a heartbeat."""
-    last: dict[str, tuple[int, str]] = {}
-    for time, status in statuses:
+class _Changes:
+    """Of the statuses of nodes those with a new state: some nodes repeat theirs as a heartbeat."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[int, str]] = {}
+
+    def __call__(self, status: Any) -> Any:
+        """The status if its state is new, else None."""
         state = (status.level, status.message)
-        if last.get(status.name) != state:
-            last[status.name] = state
+        is_new = self._last.get(status.name) != state
+        self._last[status.name] = state
+        return status if is_new else None
+
+
+def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[SafetyEvent]:
+    changed = _Changes()
+    for time, status in statuses:
+        if changed(status) is not None:
             yield SafetyEvent(time, status.level, status.name, status.message, is_stopped(status))
 
 
-def _plans(clock: Clock, array: Any) -> Iterator[PlanStatistics]:
-    time = (nanoseconds(array.header.stamp) - clock.origin_ns) / NANOSECONDS
+def _plans(array: Any) -> Iterator[tuple[int, str, dict[str, float]]]:
+    """Time at which each plan takes effect, ns, why its search ended, and its numbers."""
     for status in array.status:
         reasons = [item.value for item in status.values if item.key == "stop reason"]
-        yield PlanStatistics(time, reasons[-1] if reasons else status.message, dict(numbers(status)))
+        reason = sys.intern(reasons[-1] if reasons else status.message)
+        # An hour has a hundred thousand plans with the same keys.
+        values = {sys.intern(key): value for key, value in numbers(status)}
+        yield nanoseconds(array.header.stamp), reason, values
 
 
-def _answers(commands: Column, batches: Sequence[np.ndarray]) -> np.ndarray:
-    """From the sending of each joint state to that of its command, ns, by the controller's record of its inputs."""
-    rows = [batch[1:].reshape(-1, len(COLUMNS)) for batch in batches if len(batch) % len(COLUMNS) == 1]
-    if not rows or not commands.sequence.any():
+def _answered(batch: np.ndarray) -> np.ndarray | None:
+    """Sending of each joint state in a record of the controller's inputs, ns, and commands before: (2, n)."""
+    if len(batch) % len(COLUMNS) != 1:
+        return None
+    rows = batch[1:].reshape(-1, len(COLUMNS))
+    return np.array(rows[rows[:, 0] == Taken.JOINT_STATES][:, [1, 3]].T)
+
+
+def _answers(commands: np.ndarray, taken: Sequence[np.ndarray]) -> np.ndarray:
+    """From the sending of each joint state to that of its command, ns.
+
+    `commands` are their numbers and when they were sent, (2, n); `taken` as from `_answered`.
+    """
+    if not taken or not commands[0].any():
         return np.zeros(0, np.int64)
-    taken = np.concatenate(rows)
-    taken = taken[taken[:, 0] == Taken.JOINT_STATES]
+    states_ns, before = np.concatenate(taken, axis=1)
     # States before the start, or that came again, have no answer: the number of commands stays as it is.
-    taken = taken[np.diff(taken[:, 3], append=-1) != 0]
+    answered = np.diff(before, append=-1) != 0
     # The command that follows has the next number.
-    order = np.argsort(commands.sequence, kind="stable")
-    numbers = commands.sequence[order]
-    at = np.searchsorted(numbers, taken[:, 3] + 1)
-    known = at < len(numbers)
-    known[known] = numbers[at[known]] == taken[known, 3] + 1
-    answers = commands.publish_ns[order][at[known]] - taken[known, 1]
+    numbers, sent_ns = commands[:, np.argsort(commands[0], kind="stable")]
+    wanted = before[answered] + 1
+    at = np.minimum(np.searchsorted(numbers, wanted), len(numbers) - 1)
+    answers = (sent_ns[at] - states_ns[answered])[numbers[at] == wanted]
     return answers[(answers >= 0) & (answers < NANOSECONDS)]
 
 
@@ -361,16 +434,15 @@ def _oddities(columns: Mapping[str, Column], commands: Mapping[str, Column]) -> 
         if column.refused:
             yield f"{name}: {column.refused} messages cannot be read and are left out"
     for name, column in columns.items():
-        back = int((np.diff(column.stamp_ns) < 0).sum())
-        if back:
-            yield f"{name}: {back} stamps are older than the one before; curves follow the stamps"
+        if column.back:
+            yield f"{name}: {column.back} stamps are older than the one before; curves follow the stamps"
     states = columns["joint_states"]
     if len(states) and np.isnan(states.values[:, : len(states.names) // 3]).all():
         yield f"joint_states: has none of the joints {', '.join(dict.fromkeys(states.names))}: is it another robot's?"
 
 
 def _goals(
-    goals: Sequence[tuple[float, Any]], states: Sequence[tuple[float, Any]], base_frame: str
+    goals: Sequence[tuple[float, Any]], refused: Sequence[tuple[float, str]], base_frame: str
 ) -> Iterator[Series]:
     """Yield the goals that were not refused, and the others; those in other frames come again, transformed."""
     goals = [(time, message) for time, message in goals if message.header.frame_id in ("", base_frame)]
@@ -378,25 +450,23 @@ def _goals(
     stamps_ns = np.array([str(nanoseconds(message.header.stamp)) for _, message in goals])
     positions = np.array([(place.x, place.y, place.z) for place in places]).reshape(-1, 3)
     kept = np.isfinite(positions).all(axis=1)
-    for time, message in states:
-        values = {entry.key: entry.value for entry in message.values}
-        sent = np.flatnonzero(stamps_ns == values.get(GOAL_STAMP, ""))
-        if values.get(GOAL_PHASE) == _REFUSED and len(sent):
+    for time, stamp in refused:
+        sent = np.flatnonzero(stamps_ns == stamp)
+        if len(sent):
             # Stamps may be zero.
             kept[sent[np.abs(times[sent] - time).argmin()]] = False
     for some in (kept, ~kept):
         yield Series(times[some], ("x", "y", "z"), positions[some])
 
 
-def _missed_ticks(arrays: Sequence[tuple[float, Any]]) -> Series:
+def _refused_stamp(state: Any) -> str | None:
+    """Stamp of the goal if the state of a goal is that it is refused."""
+    values = {entry.key: entry.value for entry in state.values}
+    return values.get(GOAL_STAMP, "") if values.get(GOAL_PHASE) == _REFUSED else None
+
+
+def _missed_ticks(array: Any) -> Iterator[float]:
     """The driver's count of missed ticks, out of its diagnostics."""
-    found = [
-        (time, number)
-        for time, array in arrays
-        for status in array.status
-        if status.name == "driver"
-        for key, number in numbers(status)
-        if key == "missed ticks"
-    ]
-    table = np.array(found).reshape(-1, 2)
-    return Series(table[:, 0], ("missed ticks",), table[:, 1:])
+    for status in array.status:
+        if status.name == "driver":
+            yield from (number for key, number in numbers(status) if key == "missed ticks")
