@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +35,8 @@ Bytes = NDArray[np.uint8]
 Values = NDArray[np.float64]
 
 _BATCH = 1024
-_STEP_NS, _EARLY_NS = 10_000_000, 10_000
-"""Of thinned messages the first one of each step is kept, ns, also if it comes a little early."""
+_EARLY_NS = 10_000
+"""A message that comes this much before the next step of a thinned column is its first one, ns."""
 _TIME = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
 _NO_VALUES = (struct.error, ValueError, UnicodeDecodeError, MemoryError, OverflowError)
 """What decoding raises for bytes that are no message of the expected type."""
@@ -94,16 +94,16 @@ class Collector(ABC):
 
     Attributes
     ----------
-    thinned :
-        Whether only messages that a curve needs are kept: the first one of each 10 ms, and with the least and the
-        greatest value of each column of about a thousand.
+    step_ns :
+        If it is not 0, only messages that a curve needs are kept: the first one of each step, ns, and those with the
+        least and the greatest value of each column of about a thousand.
     watches :
         Are given all messages, part by part.
     """
 
     def __init__(self, names: tuple[str, ...], stamped: bool) -> None:
         self.names, self.stamped = names, stamped
-        self.thinned = False
+        self.step_ns = 0
         self.watches: list[Callable[[Column], None]] = []
         self._waiting: list[Messages] = []
         self._decoded: list[tuple[Times, Values]] = []
@@ -151,16 +151,16 @@ class Collector(ABC):
         self._last_ns = int(part.stamp_ns[-1])
         for watch in self.watches:
             watch(part)
-        rows = self._needed(part) if self.thinned else slice(None)
+        rows = self._needed(part) if self.step_ns else slice(None)
         times = np.stack([part.log_ns, part.publish_ns, part.sequence, part.stamp_ns])
         self._kept.append((times[:, rows], part.values[rows]))
 
     def _needed(self, part: Column) -> NDArray[np.intp]:
-        """Rows (n,) of a part that are kept if messages are thinned."""
+        """Rows (n,) of a part that are kept of a thinned column."""
         time_ns = part.time_ns
         if self._step < 0:
             self._origin_ns = int(time_ns[0])
-        steps = np.maximum.accumulate((time_ns - self._origin_ns + _EARLY_NS) // _STEP_NS)
+        steps = np.maximum.accumulate((time_ns - self._origin_ns + _EARLY_NS) // self.step_ns)
         first = np.flatnonzero(np.diff(steps, prepend=self._step) > 0)
         self._step = max(self._step, int(steps[-1]))
         least = np.argmin(np.where(np.isnan(part.values), np.inf, part.values), axis=0)
@@ -249,11 +249,21 @@ class Arrays(Collector):
         return np.ascontiguousarray(rows[:, ARRAY_START:end]).view("<f8")
 
 
-def read_raw(bag: BagReader, handlers: Mapping[str, Callable[[Messages], None]]) -> None:
-    """Pass the messages of some topics to their handlers by time of reception; skip topics that the bag lacks."""
+def reading(bag: BagReader, handlers: Mapping[str, Callable[[Messages], None]]) -> Iterator[int]:
+    """Pass the messages of some topics to their handlers by time of reception; skip topics that the bag lacks.
+
+    Yields the number of messages each time that some were passed.
+    """
     names = sorted(handlers.keys() & bag.topics.keys())
     for batch in bag.batches(names):
         for number, name in enumerate(names):
             messages = batch[batch["topic"] == number]
             if len(messages):
                 handlers[name](messages)
+        yield len(batch)
+
+
+def read_raw(bag: BagReader, handlers: Mapping[str, Callable[[Messages], None]]) -> None:
+    """As `reading`, to the end."""
+    for _ in reading(bag, handlers):
+        pass

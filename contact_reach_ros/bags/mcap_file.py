@@ -8,6 +8,7 @@ an hour of a 1 kHz arm has ten million.
 
 from __future__ import annotations
 
+import shlex
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence, Set
@@ -34,6 +35,9 @@ from contact_reach_ros.timing import NANOSECONDS
 _DAMAGE = (McapError, struct.error, zstandard.ZstdError, RuntimeError, ValueError, MemoryError, OverflowError, OSError)
 """Errors of the libraries where a file is cut or damaged: in a record, a number, a chunk (zstd, lz4), a text, or an
 impossible length."""
+_MESSAGE = int(Opcode.MESSAGE)
+_DEFINITIONS = {int(Opcode.SCHEMA): Schema, int(Opcode.CHANNEL): Channel}
+_ZSTD_MAGIC = bytes.fromhex("28b52ffd")
 _RECORD = struct.Struct("<BQ")
 """Opcode and length before the content of a record."""
 _HEAD = np.dtype(
@@ -53,6 +57,8 @@ _INDEX_BYTES, _ENTRY_BYTES = 15, 16
 """Bytes of a chunk's index of the messages of one channel, without its entries, and of an entry."""
 _MOST_LOOSE = 1 << 20
 """Bytes of messages outside of chunks that are read at once."""
+_MOST = 10_000
+"""Messages that are handed out at once."""
 _ASTRAY_NS = 366 * 24 * 3600 * NANOSECONDS
 """Time from the middle message of a file from which on a message was not received when the file has it, ns."""
 
@@ -115,6 +121,9 @@ class McapFile:
             raise BagError(f"{path}: cannot be opened: {error.strerror}") from error
         if not beginning:
             raise BagError(f"{path}: is empty; the recording stopped before anything was written")
+        if beginning.startswith(_ZSTD_MAGIC):
+            command = f"zstd -d {shlex.quote(str(path))} -o {shlex.quote(str(path.with_suffix('')))}"
+            raise BagError(f"{path}: is compressed as a whole file; decompress it with `{command}`")
         if beginning != MCAP0_MAGIC:
             raise BagError(
                 f"{path}: is no mcap file (its first bytes are {beginning.hex(' ')}); "
@@ -248,17 +257,16 @@ class McapFile:
 
     def _split(self, content: bytes) -> _Content:
         """Take the definitions in a sequence of records and find its messages; raises `EndOfFile` if it is cut."""
-        starts, at = [], 0
-        while at < len(content):
+        starts, at, size, head, least = [], 0, len(content), _RECORD.size, _HEAD.itemsize
+        while at < size:
             opcode, length = _RECORD.unpack_from(content, at)
-            start, at = at, at + _RECORD.size + length
-            if opcode == Opcode.MESSAGE and length >= _HEAD.itemsize - _RECORD.size:
+            start, at = at, at + head + length
+            if at > size or (opcode == _MESSAGE and head + length < least):
+                raise EndOfFile
+            if opcode == _MESSAGE:
                 starts.append(start)
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                kind = Schema if opcode == Opcode.SCHEMA else Channel
-                self._define(kind.read(ReadDataStream(BytesIO(content[start + _RECORD.size : at]))))
-        if at > len(content):
-            raise EndOfFile
+            elif opcode in _DEFINITIONS:
+                self._define(_DEFINITIONS[opcode].read(ReadDataStream(BytesIO(content[start + head : at]))))
         places = np.array(starts, np.intp)
         heads = np.frombuffer(content, np.uint8)[places[:, None] + np.arange(_HEAD.itemsize)].view(_HEAD)[:, 0]
         return _Content(content, places, heads)
@@ -271,7 +279,7 @@ class McapFile:
 
 
 def in_order(files: Sequence[McapFile], topics: Sequence[str], start_ns: int = 0) -> Iterator[Messages]:
-    """Yield the messages of topics of files by time of reception, many at once, from a time in ns since the epoch on.
+    """Yield the messages of topics of files by time of reception, up to `_MOST` at once, from a time in ns on.
 
     Messages are held back only as long as a later chunk may have older ones; those of one time stay in the order of the
     files. Damaged chunks are left out.
@@ -288,8 +296,11 @@ def in_order(files: Sequence[McapFile], topics: Sequence[str], start_ns: int = 0
         if chunk.channels and (numbers[file][list(chunk.channels)] < 0).all():
             continue
         ready = int(np.searchsorted(waiting["log_ns"], min(chunk.first_ns, np.iinfo(np.int64).max)))
-        if ready:
-            yield waiting[:ready]
+        yield from _parts(waiting[:ready])
         waiting = np.concatenate([waiting[ready:], file.read(chunk, numbers[file], start_ns)])
         waiting = waiting[np.argsort(waiting["log_ns"], kind="stable")]
-    yield waiting
+    yield from _parts(waiting)
+
+
+def _parts(messages: Messages) -> Iterator[Messages]:
+    return (messages[first : first + _MOST] for first in range(0, len(messages), _MOST))

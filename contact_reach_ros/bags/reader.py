@@ -61,7 +61,9 @@ class BagReader:
         if not os.path.exists(self.path):
             raise BagError(f"bag '{self.path}' does not exist")
         self._notes: list[str] = []
-        paths = sorted(self.path.glob("*.mcap"), key=_file_number) if self.path.is_dir() else [self.path]
+        paths = [self.path]
+        if self.path.is_dir():
+            paths = sorted(self.path.glob("*.mcap"), key=_file_number) or sorted(self.path.glob("*.mcap.zstd"))
         if not paths:
             raise BagError(f"'{self.path}' is no bag with mcap files; `ros2 bag convert` can convert other recordings")
         self._files = self._open(paths)

@@ -21,6 +21,7 @@ from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointState
 from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.errors import BagError, SettingsError
+from contact_reach_ros.messages.cdr import COUNT, HEADER, PLAIN_CDR, aligned
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.values import GOAL_PHASE, GOAL_STAMP, nanoseconds, numbers, read_settings
@@ -44,9 +45,20 @@ _SPARSE = {
 """Types of the topics with few messages."""
 _LONG = 300_000
 """Messages of a topic, five minutes of a 1 kHz arm, from which on it is thinned for a report."""
+_STEPS_NS, _STEP_NS = {"joint_states": 10_000_000}, 50_000_000
+"""Time between the messages then, beside extremes, ns; the distance to the goal takes a joint state each 10 ms."""
+_SENT = np.dtype([("number", "u4"), ("sent_ns", "i8")])
+"""The publisher's number of a message, and when it was sent. An hour has millions of them."""
 
 _REFUSED = "refused"
 """Phase of a goal that is not pursued."""
+
+_OF_PLANS = ("took ms", "cost")
+"""Beginnings of the keys in plan/statistics that are kept."""
+_MISSED = "missed ticks"
+"""The driver's count in its diagnostics."""
+_TEXT_START = HEADER + 2 * COUNT.size
+"""Where the name in a serialized DiagnosticStatus begins, after the level and its length."""
 
 _ROUNDING = 1e-9
 """Difference of two times that are equal except for rounding, s."""
@@ -132,7 +144,7 @@ class SafetyEvent:
 
 @dataclasses.dataclass(frozen=True)
 class PlanStatistics:
-    """Time at which a plan takes effect, s, why its search ended, and its numbers in plan/statistics."""
+    """Time at which a plan takes effect, s, why its search ended, and its solve time and costs by key."""
 
     time: float
     stop_reason: str
@@ -260,11 +272,12 @@ def read_signals(
         "external_torque": JointStates(("effort",), joints),
         "sim/contacts": JointStates(("effort",), (*arm.contact_links, "sum", "max")),
     }
-    ticks, sent = [np.zeros((2, 0), np.int64)], [np.zeros((2, 0), np.int64)]
+    ticks, sent = [np.zeros((2, 0), np.int64)], [np.zeros(0, _SENT)]
     columns["joint_states"].watches.append(lambda part: ticks.append(np.stack([part.time_ns, part.publish_ns])))
-    columns[commands].watches.append(lambda part: sent.append(np.stack([part.sequence, part.publish_ns])))
+    columns[commands].watches.append(lambda part: sent.append(_packed(part.sequence, part.publish_ns)))
     for name, column in columns.items() if watch is not None else ():
-        column.thinned = f"/{name}" in bag.topics and bag.topics[f"/{name}"].message_count > _LONG
+        if f"/{name}" in bag.topics and bag.topics[f"/{name}"].message_count > _LONG:
+            column.step_ns = _STEPS_NS.get(name, _STEP_NS)
         column.watches += [watch[name]] if name in watch else []
     sparse: dict[str, list[tuple[int, Any]]] = {name: [] for name in _SPARSE}
     other = _of_other_types(bag)
@@ -273,14 +286,16 @@ def read_signals(
         "goal/state": _refused_stamp,
         "intake/controller": lambda message: _answered(message.data),
         "plan/statistics": lambda message: list(_plans(message)),
-        "safety_state": (lambda message: message) if watch is None else _Changes(),
     }
+    skip: dict[str, Callable[[bytes], bool]] = {"diagnostics": lambda data: _MISSED.encode() not in data}
+    if watch is not None:
+        skip["safety_state"] = _Repeated()
 
     def few(name: str, messages: Messages) -> None:
         """Keep of each message what is needed; those that cannot be decoded are left out, as the bag's notes say."""
         for _, *row in messages.tolist():
             raw = RawMessage(f"/{name}", *row)
-            message = bag.decode(raw)
+            message = None if name in skip and skip[name](raw.data) else bag.decode(raw)
             taken = None if message is None else take.get(name, lambda message: message)(message)
             if taken is not None:
                 sparse[name].append((raw.log_time_ns, taken))
@@ -291,7 +306,7 @@ def read_signals(
         | {f"/{name}": partial(few, name) for name in sparse if name not in other},
     )
     state, command, torque, contact = (column.column() for column in columns.values())
-    answers_ns = _answers(np.concatenate(sent, axis=1), [taken for _, taken in sparse.pop("intake/controller")])
+    answers_ns = _answers(sent, [taken for _, taken in sparse.pop("intake/controller")])
     clock = Clock(state)
 
     def received(name: str) -> list[tuple[float, Any]]:
@@ -372,24 +387,31 @@ def _of_other_types(bag: BagReader) -> dict[str, str]:
     return {name: kind for name, kind in types.items() if kind != _SPARSE[name]}
 
 
-class _Changes:
-    """Of the statuses of nodes those with a new state: some nodes repeat theirs as a heartbeat."""
+class _Repeated:
+    """Whether a serialized status has level and message of its node's last one: some repeat theirs as a heartbeat."""
 
     def __init__(self) -> None:
-        self._last: dict[str, tuple[int, str]] = {}
+        self._last: dict[bytes, bytes] = {}
 
-    def __call__(self, status: Any) -> Any:
-        """The status if its state is new, else None."""
-        state = (status.level, status.message)
-        is_new = self._last.get(status.name) != state
-        self._last[status.name] = state
-        return status if is_new else None
+    def __call__(self, data: bytes) -> bool:
+        if data[:HEADER] != PLAIN_CDR:
+            return False
+        name_end = _TEXT_START + int.from_bytes(data[_TEXT_START - COUNT.size : _TEXT_START], "little")
+        start = aligned(name_end, COUNT.size) + COUNT.size
+        end = start + int.from_bytes(data[start - COUNT.size : start], "little")
+        node, state = data[_TEXT_START:name_end], data[HEADER : HEADER + 1] + data[start:end]
+        is_repeated = self._last.get(node) == state
+        self._last[node] = state
+        return is_repeated
 
 
 def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[SafetyEvent]:
-    changed = _Changes()
+    """The statuses with a new state."""
+    last: dict[str, tuple[int, str]] = {}
     for time, status in statuses:
-        if changed(status) is not None:
+        state = (status.level, status.message)
+        if last.get(status.name) != state:
+            last[status.name] = state
             yield SafetyEvent(time, status.level, status.name, status.message, is_stopped(status))
 
 
@@ -399,34 +421,43 @@ def _plans(array: Any) -> Iterator[tuple[int, str, dict[str, float]]]:
         reasons = [item.value for item in status.values if item.key == "stop reason"]
         reason = sys.intern(reasons[-1] if reasons else status.message)
         # An hour has a hundred thousand plans with the same keys.
-        values = {sys.intern(key): value for key, value in numbers(status)}
+        values = {sys.intern(key): value for key, value in numbers(status) if key.startswith(_OF_PLANS)}
         yield nanoseconds(array.header.stamp), reason, values
 
 
+def _packed(numbers: np.ndarray, sent_ns: np.ndarray) -> np.ndarray:
+    packed = np.empty(len(numbers), _SENT)
+    packed["number"], packed["sent_ns"] = numbers, sent_ns
+    return packed
+
+
 def _answered(batch: np.ndarray) -> np.ndarray | None:
-    """Sending of each joint state in a record of the controller's inputs, ns, and commands before: (2, n)."""
+    """Sending of the joint states in a record of the controller's inputs, with the number of the command that follows.
+
+    None for another record.
+    """
     if len(batch) % len(COLUMNS) != 1:
         return None
     rows = batch[1:].reshape(-1, len(COLUMNS))
-    return np.array(rows[rows[:, 0] == Taken.JOINT_STATES][:, [1, 3]].T)
+    rows = rows[rows[:, 0] == Taken.JOINT_STATES]
+    return _packed(rows[:, 3] + 1, rows[:, 1]) if len(rows) else None
 
 
-def _answers(commands: np.ndarray, taken: Sequence[np.ndarray]) -> np.ndarray:
-    """From the sending of each joint state to that of its command, ns.
-
-    `commands` are their numbers and when they were sent, (2, n); `taken` as from `_answered`.
-    """
-    if not taken or not commands[0].any():
-        return np.zeros(0, np.int64)
-    states_ns, before = np.concatenate(taken, axis=1)
-    # States before the start, or that came again, have no answer: the number of commands stays as it is.
-    answered = np.diff(before, append=-1) != 0
-    # The command that follows has the next number.
-    numbers, sent_ns = commands[:, np.argsort(commands[0], kind="stable")]
-    wanted = before[answered] + 1
-    at = np.minimum(np.searchsorted(numbers, wanted), len(numbers) - 1)
-    answers = (sent_ns[at] - states_ns[answered])[numbers[at] == wanted]
-    return answers[(answers >= 0) & (answers < NANOSECONDS)]
+def _answers(sent: list[np.ndarray], taken: Sequence[np.ndarray]) -> np.ndarray:
+    """From the sending of each joint state to that of its command, ns; empties the list of commands that were sent."""
+    commands = np.concatenate(sent)
+    sent.clear()
+    answers = [np.zeros(0, np.int64)]
+    if (np.diff(commands["number"].astype(np.int64)) < 0).any():
+        commands = commands[np.argsort(commands["number"], kind="stable")]
+    for states, later in zip(taken, [*taken[1:], None], strict=True) if commands["number"].any() else ():
+        # States before the start, or that came again, have no answer: the number of commands stays as it is.
+        following = 0 if later is None else later["number"][0]
+        states = states[np.append(states["number"][1:], following) != states["number"]]
+        at = np.minimum(np.searchsorted(commands["number"], states["number"]), len(commands) - 1)
+        took_ns = (commands["sent_ns"][at] - states["sent_ns"])[commands["number"][at] == states["number"]]
+        answers.append(took_ns[(took_ns >= 0) & (took_ns < NANOSECONDS)])
+    return np.concatenate(answers)
 
 
 def _oddities(columns: Mapping[str, Column], commands: Mapping[str, Column]) -> Iterator[str]:
@@ -469,4 +500,4 @@ def _missed_ticks(array: Any) -> Iterator[float]:
     """The driver's count of missed ticks, out of its diagnostics."""
     for status in array.status:
         if status.name == "driver":
-            yield from (number for key, number in numbers(status) if key == "missed ticks")
+            yield from (number for key, number in numbers(status) if key == _MISSED)
