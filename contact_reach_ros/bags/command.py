@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from contact_reach_ros.bags.columns import read_raw
-from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import LOST, RecordedTopic
 from contact_reach_ros.resources import write_text
@@ -32,15 +32,11 @@ def read_info(path: Path) -> dict[str, Any]:
     are None for fewer than two messages, lost is None if unknown. Raises `BagError` if nothing of the bag can be read.
     """
     reader = BagReader(path)
-    spans: dict[str, _Span] = {}
-
-    def count(name: str, messages: Messages) -> None:
-        times_ns = messages["log_ns"]
-        known = spans.get(name, _Span(0, int(times_ns[0]), int(times_ns[0]), 0))
-        gap_ns = int(np.diff(times_ns, prepend=known.last_ns).max())
-        spans[name] = _Span(known.count + len(messages), known.first_ns, int(times_ns[-1]), max(known.gap_ns, gap_ns))
-
-    read_raw(reader, {name: partial(count, name) for name in reader.topics})
+    times_ns: defaultdict[str, list[NDArray[np.int64]]] = defaultdict(list)
+    # A copy, since the view would keep the messages.
+    read_raw(
+        reader, {name: lambda rows, name=name: times_ns[name].append(rows["log_ns"].copy()) for name in reader.topics}
+    )
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     return {
         "path": str(path),
@@ -49,34 +45,24 @@ def read_info(path: Path) -> dict[str, Any]:
         "duration_s": reader.duration,
         "message_count": reader.message_count,
         "topics": [
-            _topic_info(topic, spans.get(name), reader.custom_data) for name, topic in sorted(reader.topics.items())
+            _topic_info(topic, np.concatenate([np.zeros(0, np.int64), *times_ns[name]]), reader.custom_data)
+            for name, topic in sorted(reader.topics.items())
         ],
         "custom_data": reader.custom_data,
         "notes": reader.notes,
     }
 
 
-class _Span(NamedTuple):
-    """Messages of a topic: their number, reception of the first and the last, and longest time between two, ns."""
-
-    count: int
-    first_ns: int
-    last_ns: int
-    gap_ns: int
-
-
-def _topic_info(topic: RecordedTopic, span: _Span | None, custom_data: Mapping[str, str]) -> dict[str, Any]:
-    gap = rate = None
-    if span is not None and span.count > 1:
-        gap, took_s = span.gap_ns / NANOSECONDS, (span.last_ns - span.first_ns) / NANOSECONDS
-        rate = (span.count - 1) / took_s if took_s else None
+def _topic_info(topic: RecordedTopic, times_ns: NDArray[np.int64], custom_data: Mapping[str, str]) -> dict[str, Any]:
+    steps = np.diff(times_ns) / NANOSECONDS
+    gap = float(steps.max()) if len(steps) else None
     lost = custom_data.get(f"{LOST}{topic.name}", "0") if custom_data.get(LOST, "").isdigit() else ""
     return {
         "name": topic.name,
         "type": topic.type,
         "message_count": topic.message_count,
         "latched": topic.latched,
-        "rate_hz": rate,
+        "rate_hz": len(steps) / float(steps.sum()) if gap else None,
         "longest_gap_s": gap,
         "lost": int(lost) if lost.isdigit() else None,
     }

@@ -47,8 +47,6 @@ _LONG = 300_000
 """Messages of a topic, five minutes of a 1 kHz arm, from which on it is thinned for a report."""
 _STEPS_NS, _STEP_NS = {"joint_states": 10_000_000}, 50_000_000
 """Time between the messages then, beside extremes, ns; the distance to the goal takes a joint state each 10 ms."""
-_SENT = np.dtype([("number", "u4"), ("sent_ns", "i8")])
-"""The publisher's number of a message, and when it was sent. An hour has millions of them."""
 
 _REFUSED = "refused"
 """Phase of a goal that is not pursued."""
@@ -65,7 +63,7 @@ _ROUNDING = 1e-9
 
 
 class Clock:
-    """Places messages on the robot's clock, in s since its first joint state.
+    """Places messages on the robot's clock, in s since its first joint state, by reception and stamps of these, ns.
 
     Attributes
     ----------
@@ -73,29 +71,31 @@ class Clock:
         Stamp of the first joint state, ns.
     """
 
-    def __init__(self, states: Column) -> None:
-        stamped = states.stamp_ns != 0
-        received, stamps = states.log_ns[stamped], states.stamp_ns[stamped]
-        if len(stamps):
-            self._received_0, self.origin_ns = int(received[0]), int(stamps[0])
-        else:
-            self._received_0 = self.origin_ns = int(states.log_ns[0]) if len(states) else 0
-        self._received = (received - self._received_0) / NANOSECONDS
-        self._stamps = (stamps - self.origin_ns) / NANOSECONDS
+    def __init__(self, received_ns: np.ndarray, stamps_ns: np.ndarray) -> None:
+        stamped = stamps_ns != 0
+        first_ns = int(received_ns[0]) if len(received_ns) else 0
+        self._received_ns, self._stamps_ns = received_ns, stamps_ns
+        if not stamped.all():
+            self._received_ns, self._stamps_ns = received_ns[stamped], stamps_ns[stamped]
+        self._received_0 = int(self._received_ns[0]) if len(self._received_ns) else first_ns
+        self.origin_ns = int(self._stamps_ns[0]) if len(self._stamps_ns) else first_ns
 
-    def of_stamps(self, column: Column) -> np.ndarray:
+    def of_stamps(self, stamps_ns: np.ndarray, received_ns: np.ndarray) -> np.ndarray:
         """By the stamps in the headers, or by reception where they are zero."""
-        times = (column.stamp_ns - self.origin_ns) / NANOSECONDS
-        return np.where(column.stamp_ns == 0, self.of_receptions(column.log_ns), times)
+        times = (stamps_ns - self.origin_ns) / NANOSECONDS
+        unknown = stamps_ns == 0
+        times[unknown] = self.of_receptions(received_ns[unknown])
+        return times
 
-    def of_receptions(self, log_ns: np.ndarray) -> np.ndarray:
+    def of_receptions(self, received_ns: np.ndarray) -> np.ndarray:
         """By times of reception, ns."""
-        received = (log_ns - self._received_0) / NANOSECONDS
-        if not len(self._received):
+        received = (received_ns - self._received_0) / NANOSECONDS
+        if not len(self._received_ns):
             return received
-        inside = np.interp(received, self._received, self._stamps)
+        known = (self._received_ns - self._received_0) / NANOSECONDS
+        inside = np.interp(received, known, (self._stamps_ns - self.origin_ns) / NANOSECONDS)
         # Outside of the joint states both clocks are taken to run alike.
-        return inside + received - np.clip(received, self._received[0], self._received[-1])
+        return inside + received - np.clip(received, known[0], known[-1])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -272,9 +272,11 @@ def read_signals(
         "external_torque": JointStates(("effort",), joints),
         "sim/contacts": JointStates(("effort",), (*arm.contact_links, "sum", "max")),
     }
-    ticks, sent = [np.zeros((2, 0), np.int64)], [np.zeros(0, _SENT)]
-    columns["joint_states"].watches.append(lambda part: ticks.append(np.stack([part.time_ns, part.publish_ns])))
-    columns[commands].watches.append(lambda part: sent.append(_packed(part.sequence, part.publish_ns)))
+    ticks, sent = [np.zeros((3, 0), np.int64)], [np.zeros((2, 0), np.int64)]
+    columns["joint_states"].watches.append(
+        lambda part: ticks.append(np.stack([part.log_ns, part.stamp_ns, part.publish_ns]))
+    )
+    columns[commands].watches.append(lambda part: sent.append(np.stack([part.sequence, part.publish_ns])))
     for name, column in columns.items() if watch is not None else ():
         if f"/{name}" in bag.topics and bag.topics[f"/{name}"].message_count > _LONG:
             column.step_ns = _STEPS_NS.get(name, _STEP_NS)
@@ -283,7 +285,6 @@ def read_signals(
     other = _of_other_types(bag)
     take: dict[str, Callable[[Any], Any]] = {
         "diagnostics": lambda message: list(_missed_ticks(message)) or None,
-        "goal/state": _refused_stamp,
         "intake/controller": lambda message: _answered(message.data),
         "plan/statistics": lambda message: list(_plans(message)),
     }
@@ -307,15 +308,16 @@ def read_signals(
     )
     state, command, torque, contact = (column.column() for column in columns.values())
     answers_ns = _answers(sent, [taken for _, taken in sparse.pop("intake/controller")])
-    clock = Clock(state)
+    received_ns, stamps_ns, sent_ns = np.concatenate(ticks, axis=1)
+    ticks.clear()
+    clock = Clock(received_ns, stamps_ns)
 
     def received(name: str) -> list[tuple[float, Any]]:
         """Time, s, and what is kept of a message."""
         times = clock.of_receptions(np.array([log_ns for log_ns, _ in sparse[name]], np.int64)).tolist()
         return list(zip(times, (taken for _, taken in sparse[name]), strict=True))
 
-    state_times = clock.of_stamps(state)
-    states_ns, sent_ns = np.concatenate(ticks, axis=1)
+    state_times = clock.of_stamps(state.stamp_ns, state.log_ns)
     safety_states = received("safety_state")
     plans = [
         PlanStatistics((effect_ns - clock.origin_ns) / NANOSECONDS, *rest)
@@ -331,15 +333,15 @@ def read_signals(
         Series(state_times, joints, state.values[:, count : 2 * count]),
         Series(state_times, joints, state.values[:, 2 * count :]),
         Series(clock.of_receptions(command.log_ns), joints, command.values),
-        Series(clock.of_stamps(torque), joints, torque.values),
-        Series(clock.of_stamps(contact), contact.names, contact.values),
+        Series(clock.of_stamps(torque.stamp_ns, torque.log_ns), joints, torque.values),
+        Series(clock.of_stamps(contact.stamp_ns, contact.log_ns), contact.names, contact.values),
         tuple(_changes(safety_states)),
         safety_states,
         goals,
         refused_goals,
         Series(missed_table[:, 0], ("missed ticks",), missed_table[:, 1:]),
         tuple(sorted(plans, key=lambda plan: plan.time)),
-        (states_ns - clock.origin_ns) / NANOSECONDS,
+        clock.of_stamps(stamps_ns, received_ns),
         sent_ns,
         answers_ns,
         {status.name: read_settings(status) for _, status in sparse[SETTINGS]},
@@ -425,39 +427,24 @@ def _plans(array: Any) -> Iterator[tuple[int, str, dict[str, float]]]:
         yield nanoseconds(array.header.stamp), reason, values
 
 
-def _packed(numbers: np.ndarray, sent_ns: np.ndarray) -> np.ndarray:
-    packed = np.empty(len(numbers), _SENT)
-    packed["number"], packed["sent_ns"] = numbers, sent_ns
-    return packed
+def _answered(batch: np.ndarray) -> np.ndarray:
+    """Of the joint states in a record of the controller's inputs the number of the next command, and sending, ns."""
+    rows = batch[1:].reshape(-1, len(COLUMNS)) if len(batch) % len(COLUMNS) == 1 else np.zeros((0, len(COLUMNS)), int)
+    return np.stack([rows[:, 3] + 1, rows[:, 1]])[:, rows[:, 0] == Taken.JOINT_STATES]
 
 
-def _answered(batch: np.ndarray) -> np.ndarray | None:
-    """Sending of the joint states in a record of the controller's inputs, with the number of the command that follows.
-
-    None for another record.
-    """
-    if len(batch) % len(COLUMNS) != 1:
-        return None
-    rows = batch[1:].reshape(-1, len(COLUMNS))
-    rows = rows[rows[:, 0] == Taken.JOINT_STATES]
-    return _packed(rows[:, 3] + 1, rows[:, 1]) if len(rows) else None
-
-
-def _answers(sent: list[np.ndarray], taken: Sequence[np.ndarray]) -> np.ndarray:
-    """From the sending of each joint state to that of its command, ns; empties the list of commands that were sent."""
-    commands = np.concatenate(sent)
+def _answers(sent: list[np.ndarray], taken: list[np.ndarray]) -> np.ndarray:
+    """From the sending of each joint state to that of its command, ns; both with their numbers, (2, n) each."""
+    numbers, sent_ns = np.concatenate(sent, axis=1)
     sent.clear()
-    answers = [np.zeros(0, np.int64)]
-    if (np.diff(commands["number"].astype(np.int64)) < 0).any():
-        commands = commands[np.argsort(commands["number"], kind="stable")]
-    for states, later in zip(taken, [*taken[1:], None], strict=True) if commands["number"].any() else ():
-        # States before the start, or that came again, have no answer: the number of commands stays as it is.
-        following = 0 if later is None else later["number"][0]
-        states = states[np.append(states["number"][1:], following) != states["number"]]
-        at = np.minimum(np.searchsorted(commands["number"], states["number"]), len(commands) - 1)
-        took_ns = (commands["sent_ns"][at] - states["sent_ns"])[commands["number"][at] == states["number"]]
-        answers.append(took_ns[(took_ns >= 0) & (took_ns < NANOSECONDS)])
-    return np.concatenate(answers)
+    wanted, states_ns = np.concatenate([np.zeros((2, 0), np.int64), *taken], axis=1)
+    if not numbers.any():
+        return np.zeros(0, np.int64)
+    order = np.argsort(numbers, kind="stable")
+    at = order[np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(numbers) - 1)]
+    # States before the start, or that came again, have no answer: the number of commands stays as it is.
+    answers = (sent_ns[at] - states_ns)[(np.diff(wanted, append=0) != 0) & (numbers[at] == wanted)]
+    return answers[(answers >= 0) & (answers < NANOSECONDS)]
 
 
 def _oddities(columns: Mapping[str, Column], commands: Mapping[str, Column]) -> Iterator[str]:
@@ -473,7 +460,7 @@ def _oddities(columns: Mapping[str, Column], commands: Mapping[str, Column]) -> 
 
 
 def _goals(
-    goals: Sequence[tuple[float, Any]], refused: Sequence[tuple[float, str]], base_frame: str
+    goals: Sequence[tuple[float, Any]], states: Sequence[tuple[float, Any]], base_frame: str
 ) -> Iterator[Series]:
     """Yield the goals that were not refused, and the others; those in other frames come again, transformed."""
     goals = [(time, message) for time, message in goals if message.header.frame_id in ("", base_frame)]
@@ -481,19 +468,14 @@ def _goals(
     stamps_ns = np.array([str(nanoseconds(message.header.stamp)) for _, message in goals])
     positions = np.array([(place.x, place.y, place.z) for place in places]).reshape(-1, 3)
     kept = np.isfinite(positions).all(axis=1)
-    for time, stamp in refused:
-        sent = np.flatnonzero(stamps_ns == stamp)
-        if len(sent):
+    for time, message in states:
+        values = {entry.key: entry.value for entry in message.values}
+        sent = np.flatnonzero(stamps_ns == values.get(GOAL_STAMP, ""))
+        if values.get(GOAL_PHASE) == _REFUSED and len(sent):
             # Stamps may be zero.
             kept[sent[np.abs(times[sent] - time).argmin()]] = False
     for some in (kept, ~kept):
         yield Series(times[some], ("x", "y", "z"), positions[some])
-
-
-def _refused_stamp(state: Any) -> str | None:
-    """Stamp of the goal if the state of a goal is that it is refused."""
-    values = {entry.key: entry.value for entry in state.values}
-    return values.get(GOAL_STAMP, "") if values.get(GOAL_PHASE) == _REFUSED else None
 
 
 def _missed_ticks(array: Any) -> Iterator[float]:

@@ -187,7 +187,7 @@ def read_report_bag(path: Path, label: str, timeout: float = np.inf, settle: flo
         As for `Episode`.
     """
     reader = BagReader(path, of_stack=True)
-    notes = list(reader.notes)
+    notes: list[str] = []
     settings = settings_of_bag(reader)
     try:
         arm = recorded_arm(settings)
@@ -208,7 +208,8 @@ def read_report_bag(path: Path, label: str, timeout: float = np.inf, settle: flo
     there = {*reader.topics, *(f"/{COMMANDS[-1]}" for name in COMMANDS if f"/{name}" in reader.topics)}
     missing = [topic for topic in _EXPECTED if f"/{topic}" not in there]
     notes += [f"topic {topic} is missing: no {_EXPECTED[topic]}" for topic in missing]
-    notes += [*signals.notes, *of_settings]
+    # Reading has found some, too.
+    notes = [*reader.notes, *notes, *signals.notes, *of_settings]
     calls = [event.time for event in signals.safety if event.message == CALLED]
     end = min([*calls, *signals.position.time[-1:]], default=np.inf)
     episode: Episode | None = None
