@@ -36,7 +36,7 @@ _DAMAGE = (McapError, struct.error, zstandard.ZstdError, RuntimeError, ValueErro
 """Errors of the libraries where a file is cut or damaged: in a record, a number, a chunk (zstd, lz4), a text, or an
 impossible length."""
 _MESSAGE = int(Opcode.MESSAGE)
-_DEFINITIONS = {int(Opcode.SCHEMA): Schema, int(Opcode.CHANNEL): Channel}
+_DEFINITIONS: dict[int, type[Schema] | type[Channel]] = {int(Opcode.SCHEMA): Schema, int(Opcode.CHANNEL): Channel}
 _ZSTD_MAGIC = bytes.fromhex("28b52ffd")
 _RECORD = struct.Struct("<BQ")
 """Opcode and length before the content of a record."""
@@ -110,7 +110,7 @@ class McapFile:
         self.chunks: list[_Chunk] = []
         self._cut_at: int | None = None
         self._damaged: set[int] = set()
-        self._possible_ns = 0, 1 << 64
+        self._possible_ns = 0, (1 << 64) - 1
         """Times of reception outside of which messages are left out, ns."""
         self._astray = 0
         try:
@@ -212,7 +212,7 @@ class McapFile:
                         self.metadata[record.name] = record.metadata
                     elif isinstance(record, Chunk):
                         channels = self._break_up(record, start).heads["channel"]
-                        found = Counter(dict(zip(*map(np.ndarray.tolist, np.unique_counts(channels)), strict=True)))
+                        found = Counter(channels.tolist())
                         self.message_counts += found
                         if found:
                             span_ns = record.message_start_time, record.message_end_time
@@ -241,7 +241,7 @@ class McapFile:
         contents = (self._read(chunk.start, chunk.loose) for chunk in self.chunks)
         received = np.sort(np.concatenate([content.heads["log_ns"] for content in contents]))
         middle = int(received[len(received) // 2]) if len(received) else 0
-        self._possible_ns = max(middle - _ASTRAY_NS, 0), middle + _ASTRAY_NS
+        self._possible_ns = max(middle - _ASTRAY_NS, 0), min(middle + _ASTRAY_NS, (1 << 64) - 1)
         kept = received[(received >= self._possible_ns[0]) & (received <= self._possible_ns[1])]
         self._astray = len(received) - len(kept)
         return (int(kept[0]), int(kept[-1])) if len(kept) else (middle, middle)
