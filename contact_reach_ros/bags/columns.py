@@ -132,9 +132,10 @@ class Collector(ABC):
         return self._joined(kept)
 
     def _joined(self, parts: Sequence[tuple[Times, Values]]) -> Column:
-        times = np.concatenate([np.empty((4, 0), np.int64), *(times for times, _ in parts)], axis=1)
+        times = [np.empty((4, 0), np.int64), *(times for times, _ in parts)]
+        log_ns, publish_ns, sequence, stamp_ns = np.concatenate(times, axis=1)
         values = np.concatenate([np.empty((0, len(self.names))), *(values for _, values in parts)])
-        return Column(*times, self.names, values, self._refused, self._back)
+        return Column(log_ns, publish_ns, sequence, stamp_ns, self.names, values, self._refused, self._back)
 
     def _read_waiting(self) -> None:
         if not self._waiting:

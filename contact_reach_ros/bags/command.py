@@ -6,6 +6,7 @@ import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from contact_reach_ros.bags.columns import read_raw
+from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import LOST, RecordedTopic
 from contact_reach_ros.resources import write_text
@@ -33,10 +35,12 @@ def read_info(path: Path) -> dict[str, Any]:
     """
     reader = BagReader(path)
     times_ns: defaultdict[str, list[NDArray[np.int64]]] = defaultdict(list)
-    # A copy, since the view would keep the messages.
-    read_raw(
-        reader, {name: lambda rows, name=name: times_ns[name].append(rows["log_ns"].copy()) for name in reader.topics}
-    )
+
+    def keep(name: str, messages: Messages) -> None:
+        # A copy, since the view would keep the messages.
+        times_ns[name].append(messages["log_ns"].copy())
+
+    read_raw(reader, {name: partial(keep, name) for name in reader.topics})
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     return {
         "path": str(path),
