@@ -277,10 +277,12 @@ def read_signals(
         lambda part: ticks.append(np.stack([part.log_ns, part.stamp_ns, part.publish_ns]))
     )
     columns[commands].watches.append(lambda part: sent.append(np.stack([part.sequence, part.publish_ns])))
-    for name, column in columns.items() if watch is not None else ():
-        if f"/{name}" in bag.topics and bag.topics[f"/{name}"].message_count > _LONG:
+    for name, column in columns.items():
+        topic = bag.topics.get(f"/{name}")
+        if watch is not None and topic is not None and topic.message_count > _LONG:
             column.step_ns = _STEPS_NS.get(name, _STEP_NS)
-        column.watches += [watch[name]] if name in watch else []
+        if watch is not None and name in watch:
+            column.watches.append(watch[name])
     sparse: dict[str, list[tuple[int, Any]]] = {name: [] for name in _SPARSE}
     other = _of_other_types(bag)
     take: dict[str, Callable[[Any], Any]] = {
