@@ -6,7 +6,7 @@ The bag is read along with them, so that an hour of it takes no more memory than
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -117,6 +117,7 @@ class RecordedInputs:
         }
         self._states: dict[int, tuple[int, Array]] = {}
         self._plain: dict[str, dict[int, RawMessage]] = {name: {} for name in _PLAIN}
+        self._tables: list[dict[int, Any]] = [self._states, *self.outputs.values(), *self._plain.values()]
         self._begin()
         while not self._states and self._read_on():
             pass
@@ -176,7 +177,7 @@ class RecordedInputs:
 
     def _begin(self) -> None:
         """Begin at the start of the bag."""
-        for table in (self._states, *self.outputs.values(), *self._plain.values()):
+        for table in self._tables:
             table.clear()
         joints, names = self.arm.n, self.arm.joint_names
         self._columns: dict[str, Collector] = {name: Arrays(joints) for name in self.outputs} | {
@@ -184,7 +185,7 @@ class RecordedInputs:
             EXTERNAL_TORQUE: JointStates(("effort",), names),
         }
         self._counts = dict.fromkeys(self._columns, 0)
-        handlers = {f"/{name}": column for name, column in self._columns.items()}
+        handlers: dict[str, Callable[[Messages], None]] = {f"/{name}": each for name, each in self._columns.items()}
         handlers |= {f"/{name}": partial(self._keep, name) for name in self._plain}
         self._reading, self._read_ns = reading(self.bag, handlers), 0
 
@@ -213,7 +214,7 @@ class RecordedInputs:
                 keys = np.where(part.sequence == 0, counted, part.sequence)
                 self._counts[name] += len(part)
             self.outputs[name] |= zip(keys.tolist(), part.values, strict=True)
-        for table in (self._states, *self.outputs.values(), *self._plain.values()):
+        for table in self._tables:
             for key in list(itertools.islice(table, max(len(table) - _KEPT, 0))):
                 del table[key]
         return is_more

@@ -13,7 +13,7 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.bags.columns import Column
+from contact_reach_ros.bags.columns import Column, Times
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import COMMANDS, EpisodeSignals, read_signals, recorded_arm, settings_of_bag
 from contact_reach_ros.control.settings import LimitSettings
@@ -44,6 +44,9 @@ _EXPECTED = {
     "settings": "limits, thresholds and configuration",
 }
 
+_Timed = tuple[Times, Array]
+"""Times (n,), ns, and values (n, k)."""
+
 
 class Exceeded:
     """How far the budget was used, by all messages, of which the signals of a long recording keep few.
@@ -59,9 +62,10 @@ class Exceeded:
     def __init__(self, budget: ContactBudget) -> None:
         self.watches = {"joint_states": self._speeds, "external_torque": self._torques, "sim/contacts": self._forces}
         self.time_above = self._share = float("nan")
-        self._budget, nothing = budget, (np.zeros(0, np.int64), np.zeros((0, len(budget.torque_thresholds))))
-        self._force = np.zeros(0, np.int64), np.zeros(0)
-        self._speed = self._torque = nothing
+        self._budget = budget
+        self._force: _Timed = np.zeros(0, np.int64), np.zeros(0)
+        self._speed: _Timed = np.zeros(0, np.int64), np.zeros((0, len(budget.torque_thresholds)))
+        self._torque = self._speed
         """Times, ns, and absolute values that are still to be compared."""
 
     @property
@@ -101,7 +105,7 @@ class Exceeded:
         self._torque, self._speed = (times[~ready], torques[~ready]), (known_ns[first:], speeds[first:])
 
 
-def _joined(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
+def _joined(first: _Timed, second: _Timed) -> _Timed:
     return np.concatenate([first[0], second[0]]), np.concatenate([first[1], second[1]])
 
 
