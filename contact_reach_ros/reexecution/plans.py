@@ -119,7 +119,7 @@ class RecordedPlans:
                 f"bag '{self._path}' lacks plan {number}; expected one of its {len(known)} plans from {known[0]} to "
                 f"{known[-1]}"
             )
-        *_, (statistics, effect_ns) = (rest for known, *rest in self._statistics() if known == number)
+        *_, (_, statistics, effect_ns) = (each for each in self._statistics() if each[0] == number)
         *_, parts = (parts for known, parts in self._requests() if known == number)
         request = read_request(parts, int(statistics["state ns"]), effect_ns)
         request = request._replace(spheres=self._obstacles(number, int(statistics["obstacles sent ns"])))
