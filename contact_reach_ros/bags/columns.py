@@ -1,7 +1,8 @@
 """The numbers of the messages of a topic as columns of arrays.
 
 Ten minutes of a 1 kHz arm are two million messages. Decoding them one by one takes minutes; here batches of equal
-layout are decoded together, and one whose messages differ is halved until they do not.
+layout are decoded together, and one whose messages differ is halved until they do not. An hour as a whole would take
+gigabytes; a collector can keep what a curve needs.
 """
 
 from __future__ import annotations
@@ -9,12 +10,13 @@ from __future__ import annotations
 import dataclasses
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.bags.reader import BagReader, RawMessage
+from contact_reach_ros.bags.mcap_file import Messages
+from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.messages.cdr import (
     ARRAY_START,
     COUNT,
@@ -32,7 +34,9 @@ Times = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 Values = NDArray[np.float64]
 
-_BATCH = 4096
+_BATCH = 1024
+_EARLY_NS = 10_000
+"""A message that comes this much before the next step of a thinned column is its first one, ns."""
 _TIME = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
 _NO_VALUES = (struct.error, ValueError, UnicodeDecodeError, MemoryError, OverflowError)
 """What decoding raises for bytes that are no message of the expected type."""
@@ -56,6 +60,8 @@ class Column:
         (n, k); NaN where a message lacks the value.
     refused :
         Number of messages that could not be decoded and are left out.
+    back :
+        Number of stamps that are older than the one before.
     """
 
     log_ns: Times
@@ -65,9 +71,15 @@ class Column:
     names: tuple[str, ...]
     values: Values
     refused: int = 0
+    back: int = 0
 
     def __len__(self) -> int:
         return len(self.log_ns)
+
+    @property
+    def time_ns(self) -> Times:
+        """(n,) stamps, or times of reception where they are zero, ns."""
+        return np.where(self.stamp_ns == 0, self.log_ns, self.stamp_ns)
 
 
 class Collector(ABC):
@@ -79,14 +91,25 @@ class Collector(ABC):
         Of the values of a message.
     stamped :
         Whether the messages begin with a header.
+
+    Attributes
+    ----------
+    step_ns :
+        If it is not 0, only messages that a curve needs are kept: the first one of each step, ns, and those with the
+        least and the greatest value of each column of about a thousand.
+    watches :
+        Are given all messages, part by part.
     """
 
     def __init__(self, names: tuple[str, ...], stamped: bool) -> None:
         self.names, self.stamped = names, stamped
-        self._waiting: list[RawMessage] = []
-        self._times: list[Times] = []
-        self._values: list[Values] = []
-        self._refused = 0
+        self.step_ns = 0
+        self.watches: list[Callable[[Column], None]] = []
+        self._waiting: list[Messages] = []
+        self._decoded: list[tuple[Times, Values]] = []
+        self._kept: list[tuple[Times, Values]] = []
+        self._refused = self._back = 0
+        self._origin_ns, self._last_ns, self._step = 0, 0, -1
 
     @abstractmethod
     def decode(self, rows: Bytes) -> Values | None:
@@ -96,37 +119,60 @@ class Collector(ABC):
         decoding raises for bytes that are no message.
         """
 
-    def __call__(self, message: RawMessage) -> None:
-        """Collect a message."""
-        self._waiting.append(message)
-        if len(self._waiting) == _BATCH:
+    def __call__(self, messages: Messages) -> None:
+        """Collect messages, which follow the earlier ones."""
+        self._waiting.append(messages)
+        if sum(map(len, self._waiting)) >= _BATCH:
             self._read_waiting()
 
     def column(self) -> Column:
         """Return the messages so far as a column; the collector is empty afterwards."""
         self._read_waiting()
-        times = np.concatenate([np.empty((4, 0), np.int64), *self._times], axis=1)
-        values = np.concatenate([np.empty((0, len(self.names))), *self._values])
-        self._times, self._values = [], []
-        if (np.diff(times[0]) < 0).any():
-            order = np.argsort(times[0], kind="stable")
-            times, values = times[:, order], values[order]
-        log_ns, publish_ns, sequence, stamp_ns = times
-        return Column(log_ns, publish_ns, sequence, stamp_ns, self.names, values, self._refused)
+        kept, self._kept = self._kept, []
+        return self._joined(kept)
+
+    def _joined(self, parts: Sequence[tuple[Times, Values]]) -> Column:
+        times = [np.empty((4, 0), np.int64), *(times for times, _ in parts)]
+        log_ns, publish_ns, sequence, stamp_ns = np.concatenate(times, axis=1)
+        values = np.concatenate([np.empty((0, len(self.names))), *(values for _, values in parts)])
+        return Column(log_ns, publish_ns, sequence, stamp_ns, self.names, values, self._refused, self._back)
 
     def _read_waiting(self) -> None:
-        messages, self._waiting = self._waiting, []
-        if messages:
-            # Room for the stamps in the last row.
-            times = np.array([(m.log_time_ns, m.publish_time_ns, m.sequence, 0) for m in messages], np.int64).T
-            self._read([message.data for message in messages], times)
+        if not self._waiting:
+            return
+        messages, self._waiting = np.concatenate(self._waiting), []
+        # Room for the stamps in the last row.
+        times = np.stack([messages[name] for name in ("log_ns", "publish_ns", "sequence", "sequence")])
+        times[3] = 0
+        self._read(messages["data"].tolist(), times)
+        part, self._decoded = self._joined(self._decoded), []
+        if not len(part):
+            return
+        self._back += int((np.diff(part.stamp_ns, prepend=self._last_ns) < 0).sum())
+        self._last_ns = int(part.stamp_ns[-1])
+        for watch in self.watches:
+            watch(part)
+        rows = self._needed(part) if self.step_ns else slice(None)
+        times = np.stack([part.log_ns, part.publish_ns, part.sequence, part.stamp_ns])
+        self._kept.append((times[:, rows], part.values[rows]))
+
+    def _needed(self, part: Column) -> NDArray[np.intp]:
+        """Rows (n,) of a part that are kept of a thinned column."""
+        time_ns = part.time_ns
+        if self._step < 0:
+            self._origin_ns = int(time_ns[0])
+        steps = np.maximum.accumulate((time_ns - self._origin_ns + _EARLY_NS) // self.step_ns)
+        first = np.flatnonzero(np.diff(steps, prepend=self._step) > 0)
+        self._step = max(self._step, int(steps[-1]))
+        least = np.argmin(np.where(np.isnan(part.values), np.inf, part.values), axis=0)
+        greatest = np.argmax(np.where(np.isnan(part.values), -np.inf, part.values), axis=0)
+        return np.unique(np.concatenate([first, least, greatest, [len(part) - 1]]))
 
     def _read(self, data: list[bytes], times: Times) -> None:
         """Decode messages together if they have one layout, else each half by itself; refuse single ones."""
         values = self._decode_together(data, times)
         if values is not None:
-            self._times.append(times)
-            self._values.append(values)
+            self._decoded.append((times, values))
         elif len(data) == 1:
             self._refused += 1
         else:
@@ -204,7 +250,21 @@ class Arrays(Collector):
         return np.ascontiguousarray(rows[:, ARRAY_START:end]).view("<f8")
 
 
-def read_raw(bag: BagReader, handlers: Mapping[str, Callable[[RawMessage], None]]) -> None:
-    """Pass the messages of some topics to their handlers by time of reception; skip topics that the bag lacks."""
-    for message in bag.raw_messages(handlers.keys() & bag.topics.keys()):
-        handlers[message.topic](message)
+def reading(bag: BagReader, handlers: Mapping[str, Callable[[Messages], None]]) -> Iterator[int]:
+    """Pass the messages of some topics to their handlers by time of reception; skip topics that the bag lacks.
+
+    Yields the number of messages each time that some were passed.
+    """
+    names = sorted(handlers.keys() & bag.topics.keys())
+    for batch in bag.batches(names):
+        for number, name in enumerate(names):
+            messages = batch[batch["topic"] == number]
+            if len(messages):
+                handlers[name](messages)
+        yield len(batch)
+
+
+def read_raw(bag: BagReader, handlers: Mapping[str, Callable[[Messages], None]]) -> None:
+    """As `reading`, to the end."""
+    for _ in reading(bag, handlers):
+        pass

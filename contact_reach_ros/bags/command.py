@@ -6,6 +6,7 @@ import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from contact_reach_ros.bags.columns import read_raw
+from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import LOST, RecordedTopic
 from contact_reach_ros.resources import write_text
@@ -31,9 +34,13 @@ def read_info(path: Path) -> dict[str, Any]:
     are None for fewer than two messages, lost is None if unknown. Raises `BagError` if nothing of the bag can be read.
     """
     reader = BagReader(path)
-    times_ns: defaultdict[str, list[int]] = defaultdict(list)
-    for raw in reader.raw_messages():
-        times_ns[raw.topic].append(raw.log_time_ns)
+    times_ns: defaultdict[str, list[NDArray[np.int64]]] = defaultdict(list)
+
+    def keep(name: str, messages: Messages) -> None:
+        # A copy, since the view would keep the messages.
+        times_ns[name].append(messages["log_ns"].copy())
+
+    read_raw(reader, {name: partial(keep, name) for name in reader.topics})
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     return {
         "path": str(path),
@@ -42,7 +49,7 @@ def read_info(path: Path) -> dict[str, Any]:
         "duration_s": reader.duration,
         "message_count": reader.message_count,
         "topics": [
-            _topic_info(topic, np.array(times_ns[name], np.int64), reader.custom_data)
+            _topic_info(topic, np.concatenate([np.zeros(0, np.int64), *times_ns[name]]), reader.custom_data)
             for name, topic in sorted(reader.topics.items())
         ],
         "custom_data": reader.custom_data,
@@ -51,7 +58,7 @@ def read_info(path: Path) -> dict[str, Any]:
 
 
 def _topic_info(topic: RecordedTopic, times_ns: NDArray[np.int64], custom_data: Mapping[str, str]) -> dict[str, Any]:
-    steps = np.diff(np.sort(times_ns)) / NANOSECONDS
+    steps = np.diff(times_ns) / NANOSECONDS
     gap = float(steps.max()) if len(steps) else None
     lost = custom_data.get(f"{LOST}{topic.name}", "0") if custom_data.get(LOST, "").isdigit() else ""
     return {

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from contact_reach_ros.bags.mcap_file import McapFile
+from contact_reach_ros.bags.mcap_file import McapFile, Messages, in_order
 from contact_reach_ros.bags.message_types import Decoder
 from contact_reach_ros.bags.topics import MCAP_KEY, MCAP_NAME, RecordedTopic, is_latched
 from contact_reach_ros.errors import BagError
@@ -61,7 +61,9 @@ class BagReader:
         if not os.path.exists(self.path):
             raise BagError(f"bag '{self.path}' does not exist")
         self._notes: list[str] = []
-        paths = sorted(self.path.glob("*.mcap"), key=_file_number) if self.path.is_dir() else [self.path]
+        paths = [self.path]
+        if self.path.is_dir():
+            paths = sorted(self.path.glob("*.mcap"), key=_file_number) or sorted(self.path.glob("*.mcap.zstd"))
         if not paths:
             raise BagError(f"'{self.path}' is no bag with mcap files; `ros2 bag convert` can convert other recordings")
         self._files = self._open(paths)
@@ -85,20 +87,24 @@ class BagReader:
         """Defects found so far that do not prevent reading, one sentence each; reading messages may add some."""
         return (*self._notes, *chain.from_iterable(file.notes() for file in self._files), *self._decoder.notes())
 
-    def raw_messages(self, topics: Collection[str] | None = None, start_ns: int = 0) -> Iterator[RawMessage]:
-        """Yield serialised messages of some topics, or of all, from a time of reception in ns since the epoch on.
+    def batches(self, topics: Sequence[str], start_ns: int = 0) -> Iterator[Messages]:
+        """Yield messages of topics in the order of reception, many at once, from a time in ns since the epoch on.
 
-        File by file, in the order of reception. Messages in damaged chunks are left out; `notes` reports them
+        Their topics are numbers, places in `topics`. Messages in damaged chunks are left out; `notes` reports them
         afterwards. Raises `BagError` if the bag has no such topic.
         """
-        wanted = set(self.topics if topics is None else topics)
-        missing = sorted(wanted - self.topics.keys())
+        missing = sorted(set(topics) - self.topics.keys())
         if missing:
             known = ", ".join(sorted(self.topics)) or "none"
             raise BagError(f"bag '{self.path}' has no topic '{missing[0]}'; it has {known}")
-        for file in self._files:
-            for name, message in file.messages(wanted, start_ns):
-                yield RawMessage(name, message.log_time, message.publish_time, message.data, message.sequence)
+        return in_order(self._files, topics, start_ns)
+
+    def raw_messages(self, topics: Collection[str] | None = None, start_ns: int = 0) -> Iterator[RawMessage]:
+        """Yield serialised messages of some topics, or of all, one by one; as `batches`."""
+        names = sorted(self.topics if topics is None else topics)
+        for batch in self.batches(names, start_ns):
+            for number, *message in batch.tolist():
+                yield RawMessage(names[number], *message)
 
     def messages(self, topic: str) -> Iterator[Any]:
         """The messages of a topic, which the bag may lack; those that `decode` cannot decode are left out."""

@@ -8,7 +8,9 @@ another rate than the wall clock.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,8 +18,10 @@ import numpy as np
 from contact_reach_ros.arm import Arm, tip_positions
 from contact_reach_ros.arms import EARLIER_DIGESTS, ROBOT_DIGEST, ROBOT_TABLE, arm_in, load_arm
 from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, read_raw
+from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.errors import BagError, SettingsError
+from contact_reach_ros.messages.cdr import COUNT, HEADER, PLAIN_CDR, aligned
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.values import GOAL_PHASE, GOAL_STAMP, nanoseconds, numbers, read_settings
@@ -39,16 +43,27 @@ _SPARSE = {
     "intake/controller": "std_msgs/msg/Int64MultiArray",
 }
 """Types of the topics with few messages."""
+_LONG = 300_000
+"""Messages of a topic, five minutes of a 1 kHz arm, from which on it is thinned for a report."""
+_STEPS_NS, _STEP_NS = {"joint_states": 10_000_000}, 50_000_000
+"""Time between the messages then, beside extremes, ns; the distance to the goal takes a joint state each 10 ms."""
 
 _REFUSED = "refused"
 """Phase of a goal that is not pursued."""
+
+_OF_PLANS = ("took ms", "cost")
+"""Beginnings of the keys in plan/statistics that are kept."""
+_MISSED = "missed ticks"
+"""The driver's count in its diagnostics."""
+_TEXT_START = HEADER + 2 * COUNT.size
+"""Where the name in a serialized DiagnosticStatus begins, after the level and its length."""
 
 _ROUNDING = 1e-9
 """Difference of two times that are equal except for rounding, s."""
 
 
 class Clock:
-    """Places messages on the robot's clock, in s since its first joint state.
+    """Places messages on the robot's clock, in s since its first joint state, by reception and stamps of these, ns.
 
     Attributes
     ----------
@@ -56,29 +71,31 @@ class Clock:
         Stamp of the first joint state, ns.
     """
 
-    def __init__(self, states: Column) -> None:
-        stamped = states.stamp_ns != 0
-        received, stamps = states.log_ns[stamped], states.stamp_ns[stamped]
-        if len(stamps):
-            self._received_0, self.origin_ns = int(received[0]), int(stamps[0])
-        else:
-            self._received_0 = self.origin_ns = int(states.log_ns[0]) if len(states) else 0
-        self._received = (received - self._received_0) / NANOSECONDS
-        self._stamps = (stamps - self.origin_ns) / NANOSECONDS
+    def __init__(self, received_ns: np.ndarray, stamps_ns: np.ndarray) -> None:
+        stamped = stamps_ns != 0
+        first_ns = int(received_ns[0]) if len(received_ns) else 0
+        self._received_ns, self._stamps_ns = received_ns, stamps_ns
+        if not stamped.all():
+            self._received_ns, self._stamps_ns = received_ns[stamped], stamps_ns[stamped]
+        self._received_0 = int(self._received_ns[0]) if len(self._received_ns) else first_ns
+        self.origin_ns = int(self._stamps_ns[0]) if len(self._stamps_ns) else first_ns
 
-    def of_stamps(self, column: Column) -> np.ndarray:
+    def of_stamps(self, stamps_ns: np.ndarray, received_ns: np.ndarray) -> np.ndarray:
         """By the stamps in the headers, or by reception where they are zero."""
-        times = (column.stamp_ns - self.origin_ns) / NANOSECONDS
-        return np.where(column.stamp_ns == 0, self.of_receptions(column.log_ns), times)
+        times = (stamps_ns - self.origin_ns) / NANOSECONDS
+        unknown = stamps_ns == 0
+        times[unknown] = self.of_receptions(received_ns[unknown])
+        return times
 
-    def of_receptions(self, log_ns: np.ndarray) -> np.ndarray:
+    def of_receptions(self, received_ns: np.ndarray) -> np.ndarray:
         """By times of reception, ns."""
-        received = (log_ns - self._received_0) / NANOSECONDS
-        if not len(self._received):
+        received = (received_ns - self._received_0) / NANOSECONDS
+        if not len(self._received_ns):
             return received
-        inside = np.interp(received, self._received, self._stamps)
+        known = (self._received_ns - self._received_0) / NANOSECONDS
+        inside = np.interp(received, known, (self._stamps_ns - self.origin_ns) / NANOSECONDS)
         # Outside of the joint states both clocks are taken to run alike.
-        return inside + received - np.clip(received, self._received[0], self._received[-1])
+        return inside + received - np.clip(received, known[0], known[-1])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,7 +144,7 @@ class SafetyEvent:
 
 @dataclasses.dataclass(frozen=True)
 class PlanStatistics:
-    """Time at which a plan takes effect, s, why its search ended, and its numbers in plan/statistics."""
+    """Time at which a plan takes effect, s, why its search ended, and its solve time and costs by key."""
 
     time: float
     stop_reason: str
@@ -153,7 +170,7 @@ class EpisodeSignals:
     safety :
         Changes of the safety states, ordered by time; repetitions are left out.
     safety_states :
-        All safety states: time, s, and decoded message.
+        All safety states: time, s, and decoded message; of a report those of the changes.
     goals :
         Positions of the goals that the planner accepted, m: the columns x, y and z.
     refused_goals :
@@ -162,8 +179,10 @@ class EpisodeSignals:
         The driver's count of missed ticks: one column.
     plans :
         Statistics of the plans, in the order in which they take effect.
+    ticks :
+        (n,) times of all joint states, s, also where the series are thinned.
     state_sent_ns :
-        (n,) when joint states were sent, ns since the epoch, in the order of their series.
+        (n,) when they were sent, ns since the epoch.
     answers_ns :
         (n,) from the sending of a joint state to the sending of its command, ns.
     settings :
@@ -185,6 +204,7 @@ class EpisodeSignals:
     refused_goals: Series
     missed_ticks: Series
     plans: tuple[PlanStatistics, ...]
+    ticks: np.ndarray
     state_sent_ns: np.ndarray
     answers_ns: np.ndarray
     settings: Mapping[str, Mapping[str, Any]]
@@ -202,10 +222,15 @@ class EpisodeSignals:
         return np.asarray(times - np.append(effects, np.nan)[rows])
 
 
+def settings_of_bag(bag: BagReader) -> dict[str, Mapping[str, Any]]:
+    """The last settings of each node."""
+    statuses = () if SETTINGS in _of_other_types(bag) else bag.messages(f"/{SETTINGS}")
+    return {status.name: read_settings(status) for status in statuses}
+
+
 def arm_of_bag(bag: BagReader) -> Arm:
     """The arm that the nodes of a bag had, with its last tool; raises `BagError` as `recorded_arm`."""
-    statuses = () if SETTINGS in _of_other_types(bag) else bag.messages(f"/{SETTINGS}")
-    return recorded_arm({status.name: read_settings(status) for status in statuses})
+    return recorded_arm(settings_of_bag(bag))
 
 
 def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:
@@ -231,8 +256,14 @@ def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:
     return found or load_arm()
 
 
-def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
-    """Read an episode; joints and contact links are mapped by name to those of the arm."""
+def read_signals(
+    bag: BagReader, arm: Arm, watch: Mapping[str, Callable[[Column], None]] | None = None
+) -> EpisodeSignals:
+    """Read an episode; joints and contact links are mapped by name to those of the arm.
+
+    `watch` is for reports, which keep little of a long recording: long series are thinned so that no peak is lost, and
+    its functions are given all messages of a topic, part by part.
+    """
     joints, count = arm.joint_names, arm.n
     commands = next((name for name in COMMANDS if f"/{name}" in bag.topics), COMMANDS[-1])
     columns: dict[str, Collector] = {
@@ -241,23 +272,62 @@ def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
         "external_torque": JointStates(("effort",), joints),
         "sim/contacts": JointStates(("effort",), (*arm.contact_links, "sum", "max")),
     }
-    sparse: dict[str, list[RawMessage]] = {name: [] for name in _SPARSE}
+    ticks, sent = [np.zeros((3, 0), np.int64)], [np.zeros((2, 0), np.int64)]
+    columns["joint_states"].watches.append(
+        lambda part: ticks.append(np.stack([part.log_ns, part.stamp_ns, part.publish_ns]))
+    )
+    columns[commands].watches.append(lambda part: sent.append(np.stack([part.sequence, part.publish_ns])))
+    for name, column in columns.items():
+        topic = bag.topics.get(f"/{name}")
+        if watch is not None and topic is not None and topic.message_count > _LONG:
+            column.step_ns = _STEPS_NS.get(name, _STEP_NS)
+        if watch is not None and name in watch:
+            column.watches.append(watch[name])
+    sparse: dict[str, list[tuple[int, Any]]] = {name: [] for name in _SPARSE}
     other = _of_other_types(bag)
-    few = {f"/{name}": messages.append for name, messages in sparse.items() if name not in other}
-    read_raw(bag, {f"/{name}": column for name, column in columns.items()} | few)
+    take: dict[str, Callable[[Any], Any]] = {
+        "diagnostics": lambda message: list(_missed_ticks(message)) or None,
+        "intake/controller": lambda message: _answered(message.data),
+        "plan/statistics": lambda message: list(_plans(message)),
+    }
+    skip: dict[str, Callable[[bytes], bool]] = {"diagnostics": lambda data: _MISSED.encode() not in data}
+    if watch is not None:
+        skip["safety_state"] = _Repeated()
+
+    def few(name: str, messages: Messages) -> None:
+        """Keep of each message what is needed; those that cannot be decoded are left out, as the bag's notes say."""
+        for _, *row in messages.tolist():
+            raw = RawMessage(f"/{name}", *row)
+            message = None if name in skip and skip[name](raw.data) else bag.decode(raw)
+            taken = None if message is None else take.get(name, lambda message: message)(message)
+            if taken is not None:
+                sparse[name].append((raw.log_time_ns, taken))
+
+    read_raw(
+        bag,
+        {f"/{name}": column for name, column in columns.items()}
+        | {f"/{name}": partial(few, name) for name in sparse if name not in other},
+    )
     state, command, torque, contact = (column.column() for column in columns.values())
-    clock = Clock(state)
+    answers_ns = _answers(sent, [taken for _, taken in sparse.pop("intake/controller")])
+    received_ns, stamps_ns, sent_ns = np.concatenate(ticks, axis=1)
+    ticks.clear()
+    clock = Clock(received_ns, stamps_ns)
 
     def received(name: str) -> list[tuple[float, Any]]:
-        """Time, s, and message; those that cannot be decoded are left out, which the bag's notes mention."""
-        times = clock.of_receptions(np.array([raw.log_time_ns for raw in sparse[name]], np.int64)).tolist()
-        pairs = zip(times, map(bag.decode, sparse[name]), strict=True)
-        return [(time, message) for time, message in pairs if message is not None]
+        """Time, s, and what is kept of a message."""
+        times = clock.of_receptions(np.array([log_ns for log_ns, _ in sparse[name]], np.int64)).tolist()
+        return list(zip(times, (taken for _, taken in sparse[name]), strict=True))
 
-    state_times = clock.of_stamps(state)
+    state_times = clock.of_stamps(state.stamp_ns, state.log_ns)
     safety_states = received("safety_state")
-    settings = {status.name: read_settings(status) for _, status in received(SETTINGS)}
-    plans = [plan for _, array in received("plan/statistics") for plan in _plans(clock, array)]
+    plans = [
+        PlanStatistics((effect_ns - clock.origin_ns) / NANOSECONDS, *rest)
+        for _, found in sparse["plan/statistics"]
+        for effect_ns, *rest in found
+    ]
+    missed = [(time, number) for time, numbers_ in received("diagnostics") for number in numbers_]
+    missed_table = np.array(missed).reshape(-1, 2)
     goals, refused_goals = _goals(received("goal_pose"), received("goal/state"), arm.base_frame)
     return EpisodeSignals(
         clock,
@@ -265,17 +335,18 @@ def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
         Series(state_times, joints, state.values[:, count : 2 * count]),
         Series(state_times, joints, state.values[:, 2 * count :]),
         Series(clock.of_receptions(command.log_ns), joints, command.values),
-        Series(clock.of_stamps(torque), joints, torque.values),
-        Series(clock.of_stamps(contact), contact.names, contact.values),
+        Series(clock.of_stamps(torque.stamp_ns, torque.log_ns), joints, torque.values),
+        Series(clock.of_stamps(contact.stamp_ns, contact.log_ns), contact.names, contact.values),
         tuple(_changes(safety_states)),
         safety_states,
         goals,
         refused_goals,
-        _missed_ticks(received("diagnostics")),
+        Series(missed_table[:, 0], ("missed ticks",), missed_table[:, 1:]),
         tuple(sorted(plans, key=lambda plan: plan.time)),
-        state.publish_ns,
-        _answers(command, [message.data for _, message in received("intake/controller")]),
-        settings,
+        clock.of_stamps(stamps_ns, received_ns),
+        sent_ns,
+        answers_ns,
+        {status.name: read_settings(status) for _, status in sparse[SETTINGS]},
         (
             *(f"{name}: is {kind}, expected {_SPARSE[name]}; it is left out" for name, kind in other.items()),
             *_oddities(
@@ -320,8 +391,26 @@ def _of_other_types(bag: BagReader) -> dict[str, str]:
     return {name: kind for name, kind in types.items() if kind != _SPARSE[name]}
 
 
+class _Repeated:
+    """Whether a serialized status has level and message of its node's last one: some repeat theirs as a heartbeat."""
+
+    def __init__(self) -> None:
+        self._last: dict[bytes, bytes] = {}
+
+    def __call__(self, data: bytes) -> bool:
+        if data[:HEADER] != PLAIN_CDR:
+            return False
+        name_end = _TEXT_START + int.from_bytes(data[_TEXT_START - COUNT.size : _TEXT_START], "little")
+        start = aligned(name_end, COUNT.size) + COUNT.size
+        end = start + int.from_bytes(data[start - COUNT.size : start], "little")
+        node, state = data[_TEXT_START:name_end], data[HEADER : HEADER + 1] + data[start:end]
+        is_repeated = self._last.get(node) == state
+        self._last[node] = state
+        return is_repeated
+
+
 def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[SafetyEvent]:
-    """The statuses with a new state: some nodes repeat theirs as a heartbeat."""
+    """The statuses with a new state."""
     last: dict[str, tuple[int, str]] = {}
     for time, status in statuses:
         state = (status.level, status.message)
@@ -330,29 +419,33 @@ def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[SafetyEvent]:
             yield SafetyEvent(time, status.level, status.name, status.message, is_stopped(status))
 
 
-def _plans(clock: Clock, array: Any) -> Iterator[PlanStatistics]:
-    time = (nanoseconds(array.header.stamp) - clock.origin_ns) / NANOSECONDS
+def _plans(array: Any) -> Iterator[tuple[int, str, dict[str, float]]]:
+    """Time at which each plan takes effect, ns, why its search ended, and its numbers."""
     for status in array.status:
         reasons = [item.value for item in status.values if item.key == "stop reason"]
-        yield PlanStatistics(time, reasons[-1] if reasons else status.message, dict(numbers(status)))
+        reason = sys.intern(reasons[-1] if reasons else status.message)
+        # An hour has a hundred thousand plans with the same keys.
+        values = {sys.intern(key): value for key, value in numbers(status) if key.startswith(_OF_PLANS)}
+        yield nanoseconds(array.header.stamp), reason, values
 
 
-def _answers(commands: Column, batches: Sequence[np.ndarray]) -> np.ndarray:
-    """From the sending of each joint state to that of its command, ns, by the controller's record of its inputs."""
-    rows = [batch[1:].reshape(-1, len(COLUMNS)) for batch in batches if len(batch) % len(COLUMNS) == 1]
-    if not rows or not commands.sequence.any():
+def _answered(batch: np.ndarray) -> np.ndarray:
+    """Of the joint states in a record of the controller's inputs the number of the next command, and sending, ns."""
+    rows = batch[1:].reshape(-1, len(COLUMNS)) if len(batch) % len(COLUMNS) == 1 else np.zeros((0, len(COLUMNS)), int)
+    return np.stack([rows[:, 3] + 1, rows[:, 1]])[:, rows[:, 0] == Taken.JOINT_STATES]
+
+
+def _answers(sent: list[np.ndarray], taken: list[np.ndarray]) -> np.ndarray:
+    """From the sending of each joint state to that of its command, ns; both with their numbers, (2, n) each."""
+    numbers, sent_ns = np.concatenate(sent, axis=1)
+    sent.clear()
+    wanted, states_ns = np.concatenate([np.zeros((2, 0), np.int64), *taken], axis=1)
+    if not numbers.any():
         return np.zeros(0, np.int64)
-    taken = np.concatenate(rows)
-    taken = taken[taken[:, 0] == Taken.JOINT_STATES]
+    order = np.argsort(numbers, kind="stable")
+    at = order[np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(numbers) - 1)]
     # States before the start, or that came again, have no answer: the number of commands stays as it is.
-    taken = taken[np.diff(taken[:, 3], append=-1) != 0]
-    # The command that follows has the next number.
-    order = np.argsort(commands.sequence, kind="stable")
-    numbers = commands.sequence[order]
-    at = np.searchsorted(numbers, taken[:, 3] + 1)
-    known = at < len(numbers)
-    known[known] = numbers[at[known]] == taken[known, 3] + 1
-    answers = commands.publish_ns[order][at[known]] - taken[known, 1]
+    answers = (sent_ns[at] - states_ns)[(np.diff(wanted, append=0) != 0) & (numbers[at] == wanted)]
     return answers[(answers >= 0) & (answers < NANOSECONDS)]
 
 
@@ -361,9 +454,8 @@ def _oddities(columns: Mapping[str, Column], commands: Mapping[str, Column]) -> 
         if column.refused:
             yield f"{name}: {column.refused} messages cannot be read and are left out"
     for name, column in columns.items():
-        back = int((np.diff(column.stamp_ns) < 0).sum())
-        if back:
-            yield f"{name}: {back} stamps are older than the one before; curves follow the stamps"
+        if column.back:
+            yield f"{name}: {column.back} stamps are older than the one before; curves follow the stamps"
     states = columns["joint_states"]
     if len(states) and np.isnan(states.values[:, : len(states.names) // 3]).all():
         yield f"joint_states: has none of the joints {', '.join(dict.fromkeys(states.names))}: is it another robot's?"
@@ -388,15 +480,8 @@ def _goals(
         yield Series(times[some], ("x", "y", "z"), positions[some])
 
 
-def _missed_ticks(arrays: Sequence[tuple[float, Any]]) -> Series:
+def _missed_ticks(array: Any) -> Iterator[float]:
     """The driver's count of missed ticks, out of its diagnostics."""
-    found = [
-        (time, number)
-        for time, array in arrays
-        for status in array.status
-        if status.name == "driver"
-        for key, number in numbers(status)
-        if key == "missed ticks"
-    ]
-    table = np.array(found).reshape(-1, 2)
-    return Series(table[:, 0], ("missed ticks",), table[:, 1:])
+    for status in array.status:
+        if status.name == "driver":
+            yield from (number for key, number in numbers(status) if key == _MISSED)

@@ -1,19 +1,23 @@
-"""Inputs of a re-execution: what the nodes of a bag took in, in their order."""
+"""Inputs of a re-execution: what the nodes of a bag took in, in their order.
+
+The bag is read along with them, so that an hour of it takes no more memory than a minute.
+"""
 
 from __future__ import annotations
 
 import itertools
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arms import ROBOT_DIGEST, ROBOT_TABLE, known_parameters, make_settings
-from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, read_raw
+from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, reading
+from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.signals import SETTINGS, recorded_arm
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
@@ -50,8 +54,12 @@ SECTIONS: Mapping[str, Sections] = {
 _OF_BAGS = (ROBOT_DIGEST, ROBOT_TABLE)
 """What nodes report of their arm, beside parameters."""
 
-_PLAIN = (*(name for name in TOPICS.values() if name != JOINT_STATES), OBSTACLES)
+_PLAIN = tuple(name for name in TOPICS.values() if name != JOINT_STATES)
 """Topics of few messages, which are decoded when they are asked for."""
+_AHEAD_NS, _KEPT = 2 * NANOSECONDS, 20_000
+"""Time by which the joint states that were read are ahead of what the node takes in, ns, and the number of messages of
+each topic that are kept: twenty seconds of a 1 kHz arm."""
+_PACKED = np.dtype([("what", "u1"), ("sent", "i8"), ("clock", "i8"), ("gave", "?"), ("output", "u4")])
 
 
 class Row(NamedTuple):
@@ -69,8 +77,8 @@ class Row(NamedTuple):
 class Intake(NamedTuple):
     """What one node took in."""
 
-    rows: list[Row]
-    """In their order, without gaps."""
+    rows: NDArray[np.void]
+    """The fields of each `Row`, in their order, without gaps."""
     starts_late: bool
     """Whether the node had taken in something before."""
     lost: int
@@ -93,88 +101,123 @@ class RecordedInputs:
         Recorded settings by node and full name.
     arm :
         The arm that was recorded, with its tool.
-    columns :
-        Messages of joint states, commands and external torques, by topic.
-    intakes :
-        What each node took in.
+    origin_ns :
+        Stamp of the first joint state, ns.
+    outputs :
+        Values of the commands by topic and the number that their publisher gave them, and of the external torques by
+        their stamp, ns, around what `read_along` yields.
     """
 
     def __init__(self, bag: BagReader) -> None:
         self.bag = bag
         self.settings = {status.name: read_settings(status) for status in bag.messages(f"/{SETTINGS}")}
         self.arm = recorded_arm(self.settings)
-        joints = self.arm.n
-        columns: dict[str, Collector] = {
-            JOINT_STATES: JointStates(("position", "velocity", "effort"), self.arm.joint_names),
-            COMMANDS: Arrays(joints),
-            ADAPTER_COMMANDS: Arrays(joints),
-            SHADOW_COMMANDS: Arrays(joints),
-            EXTERNAL_TORQUE: JointStates(("effort",), self.arm.joint_names),
+        self.outputs: dict[str, dict[int, Array]] = {
+            name: {} for name in (COMMANDS, ADAPTER_COMMANDS, SHADOW_COMMANDS, EXTERNAL_TORQUE)
         }
-        self._plain: defaultdict[str, dict[int, RawMessage]] = defaultdict(dict)
-        batches: dict[str, list[RawMessage]] = {node: [] for node in ("controller", "observer")}
-        handlers: dict[str, Callable[[RawMessage], None]] = {f"/{name}": column for name, column in columns.items()}
-        handlers |= {f"/{name}": partial(_keep, self._plain[name]) for name in _PLAIN}
-        handlers |= {f"/intake/{node}": batch.append for node, batch in batches.items()}
-        read_raw(bag, handlers)
-        self.columns = {name: column.column() for name, column in columns.items()}
-        self.intakes = {node: _join(map(bag.decode, batch)) for node, batch in batches.items() if batch}
-        if not len(self.columns[JOINT_STATES]):
+        self._states: dict[int, tuple[int, Array]] = {}
+        self._plain: dict[str, dict[int, RawMessage]] = {name: {} for name in _PLAIN}
+        self._tables: list[dict[int, Any]] = [self._states, *self.outputs.values(), *self._plain.values()]
+        self._begin()
+        while not self._states and self._read_on():
+            pass
+        if not self._states:
             raise BagError(f"bag '{bag.path}' has no joint states: nothing can be re-executed")
-        if not self.intakes:
+        self.origin_ns = next(iter(self._states.values()))[0]
+        if not any(f"/intake/{node}" in bag.topics for node in ("controller", "observer")):
             raise BagError(
                 f"bag '{bag.path}' lacks what the nodes took in, on intake/controller and intake/observer: "
                 "record it with a stack that publishes them"
             )
-        self._rows = {sent: row for row, sent in enumerate(self.columns[JOINT_STATES].publish_ns.tolist())}
 
-    @property
-    def origin_ns(self) -> int:
-        """Stamp of the first joint state, ns."""
-        return int(self.columns[JOINT_STATES].stamp_ns[0])
+    def intake(self, node: str) -> Intake:
+        """What a node took in; raises `BagError` if the bag lacks it."""
+        batches = _join(self.bag.messages(f"/intake/{node}"))
+        if batches is None:
+            raise BagError(f"bag '{self.bag.path}' lacks intake/{node}: what the {node} took in is not known")
+        return batches
+
+    def read_along(self, intake: Intake) -> Iterator[Row]:
+        """Yield what a node took in; states, messages and outputs are known from before to after each row."""
+        self._begin()
+        states = intake.rows["sent"][intake.rows["what"] == Taken.JOINT_STATES]
+        self._read_until(int(states[0]) if len(states) else 0)
+        for first in range(0, len(intake.rows), _KEPT):
+            for what, *values in intake.rows[first : first + _KEPT].tolist():
+                row = Row(Taken(what), *values)
+                if row.what is Taken.JOINT_STATES:
+                    self._read_until(row.sent_ns)
+                yield row
 
     def state(self, sent_ns: int) -> JointState | None:
         """The joint state that was sent at that time; None if the bag lacks it.
 
         Raises `InputError` if its stamp is none that the nodes accept.
         """
-        row = self._rows.get(sent_ns)
-        if row is None:
+        if sent_ns not in self._states:
             return None
-        states = self.columns[JOINT_STATES]
-        stamp_ns = checked_stamp(*divmod(int(states.stamp_ns[row]), NANOSECONDS), "joint_states")
-        q, v, torque = states.values[row].reshape(3, -1)
-        return JointState(stamp_ns, q, v, torque)
+        stamp_ns, values = self._states[sent_ns]
+        q, v, torque = values.reshape(3, -1)
+        return JointState(checked_stamp(*divmod(stamp_ns, NANOSECONDS), "joint_states"), q, v, torque)
 
     def message(self, name: str, sent_ns: int) -> Any:
         """The decoded message of a topic that was sent at that time; None if the bag lacks it."""
         raw = self._plain[name].get(sent_ns)
         return None if raw is None else self.bag.decode(raw)
 
-    def data_until(self, name: str, sent_ns: int) -> Iterator[bytes]:
-        """The serialized messages of a topic up to one that was sent at that time, which the bag may lack."""
-        kept = self._plain[name]
-        if sent_ns in kept:
-            yield from (kept[each].data for each in sorted(kept) if each <= sent_ns)
+    def raw_messages(self, name: str) -> Iterator[RawMessage]:
+        """The serialized messages of a topic, which the bag may lack."""
+        return self.bag.raw_messages({f"/{name}"} & self.bag.topics.keys())
 
     def safety_reasons(self, node: str) -> list[str]:
         """Why a node stopped the arm, each time once, in the order of the bag."""
-        statuses = (self.bag.decode(raw) for raw in self._plain["safety_state"].values())
-        reasons = [read_reason(status) for status in statuses if status.name == node]
+        reasons = (read_reason(status) for status in self.bag.messages("/safety_state") if status.name == node)
         # A reason is published again when something else changes.
         return [reason for reason, _ in itertools.groupby(filter(None, reasons))]
 
-    def by_output(self, topic: str) -> dict[int, Array]:
-        """The values of each message of a column by the number that its publisher gave it."""
-        column = self.columns[topic]
-        # A middleware may give no numbers: losses cannot be seen then, so none are assumed.
-        numbers = column.sequence if column.sequence.any() else np.arange(1, len(column) + 1)
-        return dict(zip(numbers.tolist(), column.values, strict=True))
+    def _begin(self) -> None:
+        """Begin at the start of the bag."""
+        for table in self._tables:
+            table.clear()
+        joints, names = self.arm.n, self.arm.joint_names
+        self._columns: dict[str, Collector] = {name: Arrays(joints) for name in self.outputs} | {
+            JOINT_STATES: JointStates(("position", "velocity", "effort"), names),
+            EXTERNAL_TORQUE: JointStates(("effort",), names),
+        }
+        self._counts = dict.fromkeys(self._columns, 0)
+        handlers: dict[str, Callable[[Messages], None]] = {f"/{name}": each for name, each in self._columns.items()}
+        handlers |= {f"/{name}": partial(self._keep, name) for name in self._plain}
+        self._reading, self._read_ns = reading(self.bag, handlers), 0
 
-    def by_stamp(self, topic: str) -> dict[int, Array]:
-        """The values of each message of a column by its stamp, ns."""
-        column = self.columns[topic]
-        return dict(zip(column.stamp_ns.tolist(), column.values, strict=True))
+    def _keep(self, name: str, messages: Messages) -> None:
+        for _, *row in messages.tolist():
+            raw = RawMessage(f"/{name}", *row)
+            self._plain[name].setdefault(raw.publish_time_ns, raw)
+
+    def _read_until(self, sent_ns: int) -> None:
+        while self._read_ns < sent_ns + _AHEAD_NS and self._read_on():
+            pass
+
+    def _read_on(self) -> bool:
+        """Read some messages, and forget the oldest ones; False at the end."""
+        is_more = next(self._reading, None) is not None
+        for name, collector in self._columns.items():
+            part = collector.column()
+            keys = part.stamp_ns
+            if name == JOINT_STATES:
+                self._states |= zip(part.publish_ns.tolist(), zip(keys.tolist(), part.values, strict=True), strict=True)
+                self._read_ns = int(part.publish_ns.max(initial=self._read_ns))
+                continue
+            if name != EXTERNAL_TORQUE:
+                # A middleware may give no numbers: losses cannot be seen then, so none are assumed.
+                counted = self._counts[name] + np.arange(1, len(part) + 1)
+                keys = np.where(part.sequence == 0, counted, part.sequence)
+                self._counts[name] += len(part)
+            self.outputs[name] |= zip(keys.tolist(), part.values, strict=True)
+        for table in self._tables:
+            for key in list(itertools.islice(table, max(len(table) - _KEPT, 0))):
+                del table[key]
+        return is_more
 
     def sections(self, node: str) -> dict[str, Any]:
         """The settings objects of a node by prefix, as they were.
@@ -186,34 +229,35 @@ class RecordedInputs:
         return recorded_sections(node, self.settings[node], self.arm, self.bag.path)
 
 
-def _join(messages: Iterable[Any]) -> Intake:
-    """Batches in their order, up to the first gap; those that came twice count once."""
-    width, known = len(COLUMNS), set(Taken)
-    batches = [message.data for message in messages if message is not None]
-    by_first = {int(batch[0]): batch[1:] for batch in batches if len(batch) > width and (len(batch) - 1) % width == 0}
-    taken: list[list[int]] = []
-    lost, begin = 0, min(by_first, default=0)
+def _join(messages: Iterable[Any]) -> Intake | None:
+    """Batches in their order, up to the first gap; those that came twice count once. None without any."""
+    width, known = len(COLUMNS), list(Taken)
+    by_first: dict[int, NDArray[np.void]] = {}
+    for message in messages:
+        batch = message.data
+        if len(batch) > width and (len(batch) - 1) % width == 0:
+            rows = np.zeros((len(batch) - 1) // width, _PACKED)
+            rows["what"], rows["sent"], rows["clock"], rows["output"] = batch[1:].reshape(-1, width).T
+            by_first[int(batch[0])] = rows
+    if not by_first:
+        return None
+    taken, lost, begin = [], 0, min(by_first)
     expected = begin
     for first in sorted(by_first):
-        batch = by_first[first].reshape(-1, width).tolist()
         if first == expected:
-            taken += (row for row in batch if row[0] in known)
-            expected += len(batch)
+            taken.append(by_first[first][np.isin(by_first[first]["what"], known)])
+            expected += len(by_first[first])
         else:
-            lost += len(batch)
-    rows = [
-        Row(Taken(what), sent, clock, after > outputs, after)
-        for (what, sent, clock, outputs), (*_, after) in itertools.pairwise(taken)
-    ]
+            lost += len(by_first[first])
+    rows = np.concatenate(taken)
+    # A row has the number of outputs before it.
+    after = rows["output"][1:].copy()
+    rows["gave"][:-1] = after > rows["output"][:-1]
+    rows["output"][:-1] = after
     # Whether the last one gave something is not known; only a joint state can.
-    for what, sent, clock, outputs in taken[-1:]:
-        if what != Taken.JOINT_STATES:
-            rows.append(Row(Taken(what), sent, clock, False, outputs))
+    if len(rows) and rows["what"][-1] == Taken.JOINT_STATES:
+        rows = rows[:-1]
     return Intake(rows, begin > 0, lost)
-
-
-def _keep(kept: dict[int, RawMessage], message: RawMessage) -> None:
-    kept.setdefault(message.publish_time_ns, message)
 
 
 def recorded_sections(node: str, recorded: Mapping[str, Any], arm: Arm, bag: object) -> dict[str, Any]:

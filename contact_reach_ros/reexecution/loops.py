@@ -17,7 +17,7 @@ import numpy as np
 from contact_reach_ros.arm import BLIND_AFTER, Array, JointState
 from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.settings import ControllerSettings
-from contact_reach_ros.errors import BagError, InputError, requested
+from contact_reach_ros.errors import InputError, requested
 from contact_reach_ros.messages.intake import TOPICS, Taken
 from contact_reach_ros.messages.plan_reader import PlanReader
 from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
@@ -104,8 +104,6 @@ class _Loop:
     """
 
     def __init__(self, node: str, inputs: RecordedInputs, other: Path | None) -> None:
-        if node not in inputs.intakes:
-            raise BagError(f"bag '{inputs.bag.path}' lacks intake/{node}: what the {node} took in is not known")
         self.node, self.inputs, self.settings = node, inputs, inputs.sections(node)
         self.period = 1.0 / float(inputs.settings[node].get("state_rate", 1.0 / PERIOD))
         self.topic = EXTERNAL_TORQUE
@@ -118,7 +116,7 @@ class _Loop:
         self.is_changed = other is not None
         if other is not None:
             self.settings = changed_sections(node, inputs.settings[node], inputs.arm, other)
-        self.intake = inputs.intakes[node]
+        self.intake = inputs.intake(node)
         self.in_step = not self.intake.starts_late
         self.missing = self.uncompared = self.compared = self.outputs = self.last_stamp_ns = 0
         self.largest_difference = float("nan")
@@ -131,7 +129,7 @@ class _Loop:
 
     def run(self) -> Reexecution:
         """Go through all rows."""
-        for row in self.intake.rows:
+        for row in self.inputs.read_along(self.intake):
             if row.what in self.handlers:
                 with contextlib.suppress(InputError):  # as the node refused it
                     self.handlers[row.what](row)
@@ -215,9 +213,9 @@ class _ControllerLoop(_Loop):
         self.watch = self.make_observer(locates=False, blind_after=BLIND_AFTER)
         self.controller.watch_with(self.watch)
         self.plans = PlanReader(self.controller)
-        self.residuals = inputs.by_stamp(EXTERNAL_TORQUE)
+        self.residuals = inputs.outputs[EXTERNAL_TORQUE]
         self.last_residual: Array | None = None
-        self.recorded = inputs.by_output(self.topic)
+        self.recorded = inputs.outputs[self.topic]
         self.handlers = {
             Taken.ACTIVATE: lambda _: self.controller.activate(),
             Taken.JOINT_STATES: self._tick,
@@ -292,7 +290,7 @@ class _ObserverLoop(_Loop):
     def __init__(self, inputs: RecordedInputs, other: Path | None) -> None:
         super().__init__("observer", inputs, other)
         self.observer = self.make_observer()
-        self.recorded = inputs.by_stamp(self.topic)
+        self.recorded = inputs.outputs[self.topic]
         self.last_recorded: Array | None = None
         self.handlers = {
             Taken.JOINT_STATES: self._update,

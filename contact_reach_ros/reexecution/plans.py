@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -87,22 +87,15 @@ class RecordedPlans:
 
     Attributes
     ----------
-    statistics
-        The recorded statistics of each plan, by its number.
+    numbers
+        Plans that can be solved again.
     """
 
     def __init__(self, inputs: RecordedInputs) -> None:
         self._inputs = inputs
         self._path = inputs.bag.path
-        self.statistics: dict[int, dict[str, str]] = {}
-        self._effects: dict[int, int] = {}
-        for message in inputs.bag.messages("/plan/statistics"):
-            for status in message.status:
-                values = {entry.key: entry.value for entry in status.values}
-                number = int(values.get("plan", "0"))
-                self.statistics[number], self._effects[number] = values, nanoseconds(message.header.stamp)
-        requests = (split_array(message) for message in inputs.bag.messages("/plan/request"))
-        self._requests: dict[int, Parts] = {int(parts["plan"][0]): parts for parts in requests if "plan" in parts}
+        made = {number for number, *_ in self._statistics()}
+        self.numbers = sorted(made.intersection(number for number, _ in self._requests()))
         if not self.numbers:
             raise BagError(
                 f"bag '{self._path}': no plan can be solved again, expected plan/request beside plan/statistics: "
@@ -118,11 +111,6 @@ class RecordedPlans:
             inputs.arm, planning, controller, force, capacity, lambda *_: self._solution
         )
 
-    @property
-    def numbers(self) -> list[int]:
-        """Plans that can be solved again."""
-        return sorted(set(self.statistics) & set(self._requests))
-
     def solve(self, number: int) -> ReexecutedPlan:
         """Solve a plan again; raises `BagError` if the bag lacks the plan or what it was made from."""
         if number not in self.numbers:
@@ -131,14 +119,28 @@ class RecordedPlans:
                 f"bag '{self._path}' lacks plan {number}; expected one of its {len(known)} plans from {known[0]} to "
                 f"{known[-1]}"
             )
-        statistics, parts = self.statistics[number], self._requests[number]
-        request = read_request(parts, int(statistics["state ns"]), self._effects[number])
+        *_, (_, statistics, effect_ns) = (each for each in self._statistics() if each[0] == number)
+        *_, parts = (parts for known, parts in self._requests() if known == number)
+        request = read_request(parts, int(statistics["state ns"]), effect_ns)
         request = request._replace(spheres=self._obstacles(number, int(statistics["obstacles sent ns"])))
         knot_duration_s, ramp_s = self._settings["planning"].knot_duration, self._settings["impedance"].reference_ramp
         self._planner.memory = read_memory(parts, request, knot_duration_s, ramp_s)
         self._solution.best = parts["found"]
         plan = self._planner.plan(request)
-        return ReexecutedPlan(plan, statistics, self._differences(plan, number))
+        return ReexecutedPlan(plan, statistics, self._differences(plan, float(statistics["cost"]), effect_ns))
+
+    def _statistics(self) -> Iterator[tuple[int, dict[str, str], int]]:
+        """Number, statistics and time of effect, ns, of each plan."""
+        for message in self._inputs.bag.messages("/plan/statistics"):
+            for status in message.status:
+                values = {entry.key: entry.value for entry in status.values}
+                yield int(values.get("plan", "0")), values, nanoseconds(message.header.stamp)
+
+    def _requests(self) -> Iterator[tuple[int, Parts]]:
+        """Number of each plan, and what it was made from."""
+        for parts in map(split_array, self._inputs.bag.messages("/plan/request")):
+            if "plan" in parts:
+                yield int(parts["plan"][0]), parts
 
     def _obstacles(self, number: int, sent_ns: int) -> Spheres:
         """The obstacles that the planner knew; `sent_ns` is 0 for none."""
@@ -146,17 +148,18 @@ class RecordedPlans:
             return Spheres.none()
         reader = ObstacleMarkerReader(self._inputs.arm.base_frame, self._settings[""])
         spheres = None
-        # Obstacles may rest where they were seen first.
-        for data in self._inputs.data_until(OBSTACLES, sent_ns):
-            with contextlib.suppress(InputError):  # as the node refused it
-                spheres = reader.read(data)
+        if any(raw.publish_time_ns == sent_ns for raw in self._inputs.raw_messages(OBSTACLES)):
+            # Obstacles may rest where they were seen first.
+            for raw in self._inputs.raw_messages(OBSTACLES):
+                if raw.publish_time_ns <= sent_ns:
+                    with contextlib.suppress(InputError):  # as the node refused it
+                        spheres = reader.read(raw.data)
         if spheres is None:
             raise BagError(f"bag '{self._path}' lacks the obstacles of plan {number}, which were sent at {sent_ns} ns")
         return spheres
 
-    def _differences(self, plan: Plan, number: int) -> dict[str, float]:
+    def _differences(self, plan: Plan, cost: float, effect_ns: int) -> dict[str, float]:
         """Differences of the plan with the recorded solution, by the names of `TOLERANCES`."""
-        cost, effect_ns = float(self.statistics[number]["cost"]), self._effects[number]
         found = {"cost": abs(plan.cost - cost) / max(abs(cost), _LEAST_COST)}
         for message in self._inputs.bag.messages("/reference/pose"):
             if nanoseconds(message.header.stamp) == effect_ns:

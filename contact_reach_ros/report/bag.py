@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import shlex
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arms import load_arm
+from contact_reach_ros.bags.columns import Column, Times
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.signals import COMMANDS, EpisodeSignals, arm_of_bag, read_signals
+from contact_reach_ros.bags.signals import COMMANDS, EpisodeSignals, read_signals, recorded_arm, settings_of_bag
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
@@ -26,6 +28,8 @@ CALLED = "stop service called"
 """Reason of the stop that ends a run as planned."""
 BEFORE = 2.0
 """Time shown before the first goal, s: a stack may have waited long for it."""
+_KEPT = 10_000
+"""Joint states for which torques may still come."""
 
 _EXPECTED = {
     "joint_states": "joint positions, distance, tick jitter",
@@ -39,6 +43,70 @@ _EXPECTED = {
     "intake/controller": "round trip of each tick, re-execution",
     "settings": "limits, thresholds and configuration",
 }
+
+_Timed = tuple[Times, Array]
+"""Times (n,), ns, and values (n, k)."""
+
+
+class Exceeded:
+    """How far the budget was used, by all messages, of which the signals of a long recording keep few.
+
+    Attributes
+    ----------
+    watches :
+        What is given the messages, by topic.
+    time_above :
+        Time with a contact force above the permitted force, ms; NaN without any force.
+    """
+
+    def __init__(self, budget: ContactBudget) -> None:
+        self.watches = {"joint_states": self._speeds, "external_torque": self._torques, "sim/contacts": self._forces}
+        self.time_above = self._share = float("nan")
+        self._budget = budget
+        self._force: _Timed = np.zeros(0, np.int64), np.zeros(0)
+        self._speed: _Timed = np.zeros(0, np.int64), np.zeros((0, len(budget.torque_thresholds)))
+        self._torque = self._speed
+        """Times, ns, and absolute values that are still to be compared."""
+
+    @property
+    def threshold_share(self) -> float:
+        """Greatest ratio of any joint's external torque to the threshold that stops the arm at the joint's speed."""
+        self._compare(np.iinfo(np.int64).max)
+        return self._share
+
+    def _forces(self, part: Column) -> None:
+        times, forces = _joined(self._force, (part.time_ns, part.values[:, part.names.index("max")]))
+        above_ns = np.diff(times)[forces[:-1] > self._budget.permitted_force].sum()
+        if len(times) > 1:
+            self.time_above = float(np.nan_to_num(self.time_above) + 1000 * above_ns / NANOSECONDS)
+        self._force = times[-1:], forces[-1:]
+
+    def _torques(self, part: Column) -> None:
+        self._torque = _joined(self._torque, (part.time_ns, np.abs(part.values)))
+
+    def _speeds(self, part: Column) -> None:
+        velocity = part.values.reshape(len(part), 3, -1)[:, 1]
+        self._speed = _joined(self._speed, (part.time_ns, np.abs(np.nan_to_num(velocity))))
+        self._compare(int(part.time_ns[-1]))
+
+    def _compare(self, until_ns: int) -> None:
+        """Compare the torques up to a time with the thresholds at the speeds then."""
+        times, torques = self._torque
+        known_ns, speeds = self._speed
+        ready, first = times <= until_ns, 0
+        if ready.any():
+            thresholds = np.tile(self._budget.torque_thresholds, (int(ready.sum()), 1))
+            if len(known_ns):
+                rows = np.minimum(np.searchsorted(known_ns, times[ready]), len(known_ns) - 1)
+                thresholds += np.array(self._budget.torque_per_speed) * speeds[rows]
+                first = int(rows[-1])
+            self._share = float(np.fmax(self._share, largest(torques[ready] / thresholds)))
+        first = max(first, len(known_ns) - _KEPT)
+        self._torque, self._speed = (times[~ready], torques[~ready]), (known_ns[first:], speeds[first:])
+
+
+def _joined(first: _Timed, second: _Timed) -> _Timed:
+    return np.concatenate([first[0], second[0]]), np.concatenate([first[1], second[1]])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,6 +131,8 @@ class ReportBag:
         Whether the goal was reached without a stop.
     budget :
         Permitted contact force and torque thresholds.
+    exceeded :
+        Time above the permitted force, and the greatest share of a threshold.
     torque_limits :
         (n,) limit of each joint's commanded torque, Nm.
     notes :
@@ -78,6 +148,7 @@ class ReportBag:
     verdict: str
     good: bool
     budget: ContactBudget
+    exceeded: Exceeded
     torque_limits: Array
     notes: tuple[str, ...]
 
@@ -120,13 +191,18 @@ def read_report_bag(path: Path, label: str, timeout: float = np.inf, settle: flo
         As for `Episode`.
     """
     reader = BagReader(path, of_stack=True)
-    notes = list(reader.notes)
+    notes: list[str] = []
+    settings = settings_of_bag(reader)
     try:
-        arm = arm_of_bag(reader)
+        arm = recorded_arm(settings)
     except BagError as error:
         arm = load_arm()
         notes.append(str(error))
-    signals = read_signals(reader, arm)
+    of_settings: list[str] = []
+    budget = _recorded(reader, settings, arm, "observer", BUDGET, load_budget(), of_settings).resolve(arm)
+    limits = _recorded(reader, settings, arm, "controller", "limits", LimitSettings(), of_settings)
+    exceeded = Exceeded(budget)
+    signals = read_signals(reader, arm, exceeded.watches)
     if not reader.message_count:
         notes.append("the bag has no messages")
     lost = reader.custom_data.get("messages_lost", "0")
@@ -136,9 +212,8 @@ def read_report_bag(path: Path, label: str, timeout: float = np.inf, settle: flo
     there = {*reader.topics, *(f"/{COMMANDS[-1]}" for name in COMMANDS if f"/{name}" in reader.topics)}
     missing = [topic for topic in _EXPECTED if f"/{topic}" not in there]
     notes += [f"topic {topic} is missing: no {_EXPECTED[topic]}" for topic in missing]
-    notes += signals.notes
-    budget = _recorded(reader, signals, arm, "observer", BUDGET, load_budget(), notes).resolve(arm)
-    limits = _recorded(reader, signals, arm, "controller", "limits", LimitSettings(), notes)
+    # Reading has found some, too.
+    notes = [*reader.notes, *notes, *signals.notes, *of_settings]
     calls = [event.time for event in signals.safety if event.message == CALLED]
     end = min([*calls, *signals.position.time[-1:]], default=np.inf)
     episode: Episode | None = None
@@ -157,19 +232,26 @@ def read_report_bag(path: Path, label: str, timeout: float = np.inf, settle: flo
         verdict=verdict,
         good=good,
         budget=budget,
+        exceeded=exceeded,
         torque_limits=limits.torque_share * arm.torque_limits,
         notes=tuple(dict.fromkeys(notes)),
     )
 
 
 def _recorded(
-    reader: BagReader, signals: EpisodeSignals, arm: Arm, node: str, prefix: str, default: Any, notes: list[str]
+    reader: BagReader,
+    settings: Mapping[str, Mapping[str, Any]],
+    arm: Arm,
+    node: str,
+    prefix: str,
+    default: Any,
+    notes: list[str],
 ) -> Any:
     """The section `prefix` of a node's recorded settings.
 
     If the bag lacks them, or this version refuses one, returns `default` and appends the reason to `notes`.
     """
-    recorded = signals.settings.get(node)
+    recorded = settings.get(node)
     if recorded is None:
         notes.append(f"the bag lacks the settings of the {node}: the package's own {prefix} is assumed")
         return default
@@ -184,7 +266,7 @@ def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
     """The numbers of the report with their units, by name; NaN where unknown. Those of the episode count to its end."""
     signals, episode = bag.signals, bag.episode
     start, end = (0.0, np.inf) if episode is None else (episode.start, episode.end)
-    ticks = signals.position.time[signals.position.time <= end]
+    ticks = signals.ticks[signals.ticks <= end]
     contact, torque = (series.between(start, end) for series in (signals.contact_force, signals.external_torque))
     missed = signals.missed_ticks.between(-np.inf, end).values
     took = np.array([plan.numbers.get("took ms", np.nan) for plan in signals.plans if plan.time <= end])
@@ -207,8 +289,8 @@ def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
         "plan takes p95": (percentile(took, 95.0), "ms"),
         "plan takes at most": (largest(took), "ms"),
         "greatest plan age": (1000 * largest(signals.plan_age(ticks)), "ms"),
-        "time above the permitted force": (_time_above(bag), "ms"),
-        "external torque, of what stops the arm": (100 * largest(_threshold_share(bag)), "%"),
+        "time above the permitted force": (bag.exceeded.time_above, "ms"),
+        "external torque, of what stops the arm": (100 * bag.exceeded.threshold_share, "%"),
         "largest command, of its limit": (100 * largest(np.abs(signals.command.values) / bag.torque_limits), "%"),
         "tick jitter p50": (percentile(jitter_us, 50.0), "µs"),
         "tick jitter p99": (percentile(jitter_us, 99.0), "µs"),
@@ -270,25 +352,3 @@ def _verdict(signals: EpisodeSignals, episode: Episode | None, end: float) -> tu
     if episode is None or not episode.has_goal:
         return "no goal in the bag", False
     return ("goal not reached", False) if np.isnan(episode.reached) else ("goal reached", True)
-
-
-def _time_above(bag: ReportBag) -> float:
-    """Time with a contact force above the permitted force, ms; NaN without any force."""
-    force = bag.signals.contact_force
-    if len(force.time) < 2:
-        return float("nan")
-    above = force.column("max")[:-1] > bag.budget.permitted_force
-    return 1000 * float(np.diff(force.time)[above].sum())
-
-
-def _threshold_share(bag: ReportBag) -> Array:
-    """(n,) greatest ratio of any joint's external torque to the threshold that stops the arm at the joint's speed."""
-    torque, velocity = bag.signals.external_torque, bag.signals.velocity
-    if not len(torque.time):
-        return np.zeros(0)
-    thresholds = np.tile(np.array(bag.budget.torque_thresholds), (len(torque.time), 1))
-    if len(velocity.time):
-        row = np.clip(np.searchsorted(velocity.time, torque.time), 0, len(velocity.time) - 1)
-        thresholds += np.array(bag.budget.torque_per_speed) * np.abs(np.nan_to_num(velocity.values[row]))
-    # NaN only where all joints are unknown.
-    return np.fmax.reduce(np.abs(torque.values) / thresholds, axis=1)

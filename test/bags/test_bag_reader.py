@@ -2,6 +2,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+import zstandard
 from conftest import START_NS, STEP_NS, SampleBag
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -63,6 +64,22 @@ def test_bag_that_is_stored_otherwise(tmp_path: Path) -> None:
     for path, message in ((tmp_path, "no bag with mcap files; "), (tmp_path / "sample_0.db3", "is no mcap file .*")):
         with pytest.raises(BagError, match=f"{message}`ros2 bag convert`"):
             BagReader(path)
+
+
+def test_a_file_that_is_compressed_as_a_whole_is_refused_with_what_to_do(sample: SampleBag) -> None:
+    packed = sample.file.with_suffix(".mcap.zstd")
+    packed.write_bytes(zstandard.compress(sample.file.read_bytes()))
+    sample.file.unlink()
+    for path in (sample.directory, packed):
+        with pytest.raises(BagError, match=f"decompress it with `zstd -d {packed} -o {sample.file}`"):
+            BagReader(path)
+
+
+def test_files_whose_times_overlap_are_read_in_the_order_of_reception(tmp_path: Path) -> None:
+    first, second = SampleBag(tmp_path / "first", 40), SampleBag(tmp_path / "second", 60)
+    shutil.copy(second.file, first.directory / "first_1.mcap")
+    received = [raw.log_time_ns for raw in BagReader(first.directory).raw_messages()]
+    assert len(received) == 100 and received == sorted(received)
 
 
 def test_bag_in_several_files_without_metadata(tmp_path: Path) -> None:

@@ -6,13 +6,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from contact_reach_ros.bags.columns import Arrays, JointStates
-from contact_reach_ros.bags.reader import RawMessage
+from contact_reach_ros.bags.mcap_file import MESSAGES, Messages
 
 NAMES = ("a", "b", "c")
 
 
-def raw(number: int, data: bytes) -> RawMessage:
-    return RawMessage("/topic", 1000 + number, 500 + number, data, number)
+def raw(number: int, data: bytes) -> Messages:
+    return np.array([(0, 1000 + number, 500 + number, data, number)], MESSAGES)
 
 
 def state(number: int) -> JointState:

@@ -10,6 +10,7 @@ import pytest
 from contact_reach_command import contact_reach
 from plotly.offline import get_plotlyjs
 
+from contact_reach_ros.bags import signals as bag_signals
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent
 from contact_reach_ros.bags.topics import RecordedTopic
@@ -137,6 +138,24 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path, capsys: pytest.Ca
     assert run(tmp_path / "text.mcap") == 2
     error = capsys.readouterr().err
     assert "is no mcap file" in error and "Traceback" not in error and error.count("\n") == 1
+
+
+def test_of_a_long_bag_little_is_kept_and_its_numbers_are_the_same(
+    sample: ReportBag, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bag_signals, "_LONG", 100)
+    thinned = read_report_bag(SAMPLE, "sample")
+    numbers, expected = metrics(thinned), metrics(sample)
+    # It begins at the next joint state that was kept.
+    assert numbers.pop("way to the goal")[0] == pytest.approx(expected.pop("way to the goal")[0], rel=1e-3)
+    assert numbers == expected
+    for name in ("position", "command", "external_torque", "contact_force"):
+        whole, part = getattr(sample.signals, name), getattr(thinned.signals, name)
+        assert len(part.time) < 0.3 * len(whole.time), name
+        assert part.time[0] == whole.time[0] and part.time[-1] == whole.time[-1]
+        assert np.isin(part.time, whole.time).all()
+        for extreme in (np.nanmin, np.nanmax):
+            np.testing.assert_array_equal(extreme(part.values, axis=0), extreme(whole.values, axis=0))
 
 
 def test_thinned_curves_keep_their_peaks_and_gaps() -> None:
