@@ -27,7 +27,9 @@ from contact_reach_ros.drives.settings import (
 from contact_reach_ros.errors import SettingsError, StopCode
 from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.adapter import AdapterNode
+from contact_reach_ros.resources import config_file
 from contact_reach_ros.scenes.generate import load_scene
+from contact_reach_ros.settings import parameters_in
 from contact_reach_ros.timing import NANOSECONDS
 
 ARM = load_arm("iiwa14")
@@ -330,6 +332,13 @@ def test_a_driver_in_another_namespace_is_named(bench):
 def test_a_cutoff_of_the_observer_is_refused_as_torques_come_unfiltered():
     assert make_lbr().hear("observer", {"momentum.torque_cutoff": 10.0}).startswith("momentum.torque_cutoff = 10")
     assert not make_lbr().hear("observer", {"momentum.torque_cutoff": 0.0})
+
+
+def test_a_controller_that_does_not_know_of_the_delay_is_refused():
+    said = make_lbr().hear("controller", {"limits.torque_delay": 0.0})
+    assert said.startswith("limits.torque_delay = 0 s in the controller; expected at least 0.0093 s")
+    file = parameters_in(config_file("lbr.yaml"), "controller")
+    assert file["limits.torque_delay"] and not make_lbr().hear("controller", file)
 
 
 def make_franka(node=None, **settings):
