@@ -119,7 +119,14 @@ INTERFACES = {
     ),
     OPERATOR: _node(
         [topics.GOAL_POSE.name],
-        [topics.GOAL_STATE, topics.SAFETY_STATE, topics.DIAGNOSTICS, topics.SETTINGS, topics.JOINT_STATES],
+        [
+            topics.JOINT_STATES,
+            topics.GOAL_STATE,
+            topics.SAFETY_STATE,
+            topics.DIAGNOSTICS,
+            topics.SETTINGS,
+            topics.CLOCK,
+        ],
         calls=[*_STOP_AND_RESET, "planner/set_parameters_atomically"],
     ),
     REPLAY: _node([f"{REPLAY}/{topic.name}" for topic in topics.ALL], []),
