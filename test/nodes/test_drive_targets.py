@@ -1,12 +1,10 @@
 """What the adapter makes of the messages of KUKA's and Franka's drivers, and what it asks of the other nodes."""
 
-import importlib
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from kuka import CONFIGS, LATER, OF_2024, KukaRobot, described
-from message_packages import message_packages
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from stack_helpers import hand_in, ros
@@ -70,22 +68,7 @@ class Node:
         return SimpleNamespace(info=lambda line: None, warning=self.warned.append, error=lambda line: None)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def packages():
-    """The drivers' message packages, from which both modules take their types."""
-    folders = message_packages()
-    with pytest.MonkeyPatch.context() as patched:
-        for folder in folders:
-            patched.syspath_prepend(folder)
-        for module, package, names in (
-            (lbr, "lbr_fri_idl.msg", ("LBRState", "LBRTorqueCommand")),
-            (lbr, "controller_manager_msgs.srv", ("SetHardwareComponentState",)),
-            (effort, "controller_manager_msgs.srv", ("ListControllers", "SwitchController")),
-            (franka, "franka_msgs.srv", ("SetFullCollisionBehavior",)),
-        ):
-            for name in names:
-                patched.setattr(module, name, getattr(importlib.import_module(package), name))
-        yield
+pytestmark = pytest.mark.usefixtures("packages")
 
 
 def make_lbr(node=None, is_described=True, **settings):
