@@ -240,8 +240,10 @@ class LineCore(StayingCore):
 class BehindAdapter(Stack):
     """The stack with config/lbr.yaml, whose controller hears from the adapter whether commands pass."""
 
-    def __init__(self, robot):
-        file, arm = config_file("lbr.yaml"), robot.robot.plant.arm
+    def __init__(self, robot, scene=None):
+        """`scene`: what the stack takes for the robot's; by default that one."""
+        scene = scene or robot.robot.scene
+        file, arm = config_file("lbr.yaml"), scene.arm
         chosen = {
             node: make_settings(parameters_in(file, node), SECTIONS[node], arm, str(file))
             for node in ("controller", "observer")
@@ -249,7 +251,7 @@ class BehindAdapter(Stack):
         controller = ControllerSettings.from_sections(chosen["controller"])
         supervision = dataclasses.replace(controller.supervision, adapter=True)
         super().__init__(
-            robot.robot.scene,
+            scene,
             planner=LineCore(),
             controller=dataclasses.replace(controller, supervision=supervision),
             observer=ObserverSettings.from_sections(chosen["observer"]),

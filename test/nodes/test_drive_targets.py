@@ -178,11 +178,34 @@ def test_a_stop_deactivates_the_effort_controller_unless_the_arm_would_drop(carr
     ],
 )
 def test_torques_reach_an_arm_whose_effort_controller_is_active(states, idle):
-    listed = [SimpleNamespace(name=name, state=state) for name, state in states.items()]
+    listed = [SimpleNamespace(name=name, state=state, claimed_interfaces=[]) for name, state in states.items()]
     target = effort.EffortTarget(Node(SimpleNamespace(controller=listed)), ARM, EffortSettings(ask_joints=False), True)
     assert not target.idle
     target.ask_idle()
     assert target.idle == idle
+
+
+def test_nothing_passes_while_another_controller_commands_the_drive():
+    def listed(own, other):
+        states = {"joint_state_broadcaster": "active", "effort_controller": own, "trajectories": other}
+        claimed = {"trajectories": ["lbr_A1/effort"]}
+        return SimpleNamespace(
+            controller=[
+                SimpleNamespace(name=name, state=state, claimed_interfaces=claimed.get(name, []))
+                for name, state in states.items()
+            ]
+        )
+
+    node = Node(listed("inactive", "active"))
+    target = effort.EffortTarget(node, ARM, EffortSettings(ask_joints=False), True)
+    target.look()
+    assert target.problem == (
+        "effort_controller is inactive, and trajectories commands the drive: ros2 control switch_controllers "
+        "--activate effort_controller --deactivate trajectories"
+    )
+    node.answer = listed("active", "inactive")
+    target.look()
+    assert not target.problem
 
 
 def test_torques_reach_a_kuka_in_a_commanding_session_until_its_component_is_deactivated():
@@ -328,7 +351,8 @@ def make_franka(node=None, **settings):
     return franka.FrankaTarget(node or Node(), ARM, FrankaSettings(**settings))
 
 
-def test_nothing_passes_before_the_reflexes_are_set():
+def test_nothing_passes_before_the_reflexes_are_set(monkeypatch):
+    monkeypatch.setattr(effort, "ListControllers", None)
     node = Node(franka.SetFullCollisionBehavior.Response(success=True))
     target = make_franka(node, ask_joints=False)
     assert target.problem.startswith("the reflexes are not set yet")
