@@ -199,7 +199,7 @@ def test_in_real_time_a_controller_that_stands_still_in_motion_leaves_the_arm_at
 
 
 def vanish_in_motion(kind, env, folder):
-    """Kill the driver when the arm is on its way, and start it again; what a goal, a reset and a goal come to then.
+    """Kill the driver when the arm is on its way, and start it again; how a goal ends then, and one after a reset.
 
     None if the arm did not move before; it must not move in between.
     """
@@ -216,7 +216,11 @@ def vanish_in_motion(kind, env, folder):
             ready(process, output, "active")
             assert speeds_until(domain, lambda speeds: len(speeds) > 500)
             assert not speeds_until(domain, lambda speeds: speeds[-1] > RESTS, 3.0)
-            return command_lines(env, AWAY, "reset", AWAY)
+            ((code, said),) = command_lines(env, AWAY)
+            # The middleware forgets a killed process after 20 s; until then there are two drivers.
+            wait_for(lambda: command_lines(env, "reset")[0][0] == 0, 60, "the stop is released")
+            ((again, _),) = command_lines(env, AWAY)
+            return code, said, again
 
 
 @pytest.mark.slow
@@ -224,9 +228,9 @@ def vanish_in_motion(kind, env, folder):
 def test_a_driver_that_vanishes_and_comes_back_moves_nothing_before_a_reset(kind, packages, tmp_path):
     env = {**environment(), **packages}
     attempts = (vanish_in_motion(kind, env, tmp_path / str(attempt)) for attempt in range(ATTEMPTS))
-    refused, reset, taken = next(filter(None, attempts), None) or pytest.fail("the arm did not move")
-    assert refused[0] and "the arm is stopped: " in refused[1] and "joint state" in refused[1], refused
-    assert (reset[0], taken[0]) == (0, 0), (reset, taken)
+    code, said, again = next(filter(None, attempts), None) or pytest.fail("the arm did not move")
+    assert code and "the arm is stopped: " in said and "nothing on joint_states for" in said, said
+    assert not again
 
 
 def doctor(env, folder, *options):
