@@ -180,14 +180,15 @@ class EffortTarget:
     def _on_list(self, answer: Any) -> None:
         name, found = self._settings.controller.rpartition("/")[2], {each.name: each for each in answer.controller}
         state = found[name].state if name in found else "not loaded"
-        self.idle = "" if state == _ACTIVE else f"{name} is {state}"
-        self._inactive = ""
+        self.idle, inactive = "" if state == _ACTIVE else f"{name} is {state}", ""
         # One that is not loaded may be that of another controller manager.
-        if self.idle and name in found:
+        if state != _ACTIVE and name in found:
             others = [each.name for each in found.values() if each.state == _ACTIVE and each.claimed_interfaces]
             instead = f", and {', '.join(others)} commands the drive" if others else ""
             switch = f"--activate {name}" + (f" --deactivate {' '.join(others)}" if others else "")
-            self._inactive = f"{self.idle}{instead}: ros2 control switch_controllers {switch}"
+            inactive = f"{name} is {state}{instead}: ros2 control switch_controllers {switch}"
+        # At once: the loop reads it in another thread.
+        self._inactive = inactive
 
     def _switch_controller(self, act: str) -> None:
         if self._switch is None:
