@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from contact_reach_ros.drives.franka import REFLEX_SERVICE
 from contact_reach_ros.drives.settings import FRANKA_STATES
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
@@ -60,6 +61,8 @@ _EVERY_NODE_PUBLISHES = {"/parameter_events", "/rosout"}
 """Absolute, as ROS has them."""
 
 _REFERENCES = [topics.REFERENCE_POSE, topics.REFERENCE_POSTURE]
+_OF_KUKA = frozenset({"lbr/state", "lbr/robot_description"})
+"""Heard from KUKA's driver, with the default of `lbr.driver`."""
 _PACE = [topics.JOINT_STATES, topics.LOCKSTEP_HORIZON]
 """Heard by nodes that follow the joint states; in simulated time they promise on the second as well."""
 
@@ -67,9 +70,11 @@ _PACE = [topics.JOINT_STATES, topics.LOCKSTEP_HORIZON]
 def _node(
     publishes: Iterable[str], subscribes: Iterable[Topic], serves: Iterable[str] = (), calls: Iterable[str] = ()
 ) -> Interface:
+    heard = frozenset(topic.name for topic in subscribes)
+    # Franka's driver has another name for the joint states, which all nodes hear then.
     return Interface(
         frozenset({*_EVERY_NODE_PUBLISHES, *publishes}),
-        frozenset(topic.name for topic in subscribes),
+        heard | ({FRANKA_STATES} if topics.JOINT_STATES.name in heard else set()),
         frozenset({"~/get_type_description", *serves}),
         frozenset(calls),
     )
@@ -84,19 +89,35 @@ def _managed(
 
 
 _RECORDER = _managed(RECORDER, topics.ALL)
+_ADAPTER = _managed(
+    ADAPTER,
+    [*_PACE, topics.ADAPTER_COMMANDS, topics.SETTINGS],
+    _STOP,
+    [
+        "effort_controller/get_parameters",
+        *(f"controller_manager/{service}" for service in ("list_controllers", "switch_controller")),
+        "lbr/controller_manager/set_hardware_component_state",
+        REFLEX_SERVICE,
+    ],
+)
+_DOCTOR = _node(
+    [],
+    topics.ALL,
+    calls=[
+        *(f"{name}/get_state" for name in MANAGED),
+        *(f"effort_controller/{service}" for service in ("get_parameters", "list_parameters")),
+        "controller_manager/list_controllers",
+    ],
+)
 _LIFECYCLE = (
     _managed("driver", [topics.COMMANDS, topics.LOCKSTEP_HORIZON, topics.GOAL_STATE], _STOP),
     _managed("controller", [*_PACE, *_REFERENCES, topics.SAFETY_STATE, topics.SETTINGS], _STOP),
     _managed("observer", _PACE, _STOP),
     _managed("planner", [*_PACE, topics.GOAL_POSE, topics.OBSTACLES, topics.SAFETY_STATE]),
-    _managed(
-        ADAPTER,
-        [*_PACE, topics.ADAPTER_COMMANDS, topics.SETTINGS],
-        _STOP,
-        [
-            "effort_controller/get_parameters",
-            *(f"controller_manager/{service}" for service in ("list_controllers", "switch_controller")),
-        ],
+    replace(
+        _ADAPTER,
+        publishes=_ADAPTER.publishes | {"lbr/command/torque", topics.JOINT_STATES.name},
+        subscribes=_ADAPTER.subscribes | _OF_KUKA,
     ),
     replace(_RECORDER, subscribes=_RECORDER.subscribes | set(topics.OF_OTHERS)),
     _managed(VIEWER, HEARD_BY_VIEWER, calls=_STOP_AND_RESET),
@@ -109,17 +130,17 @@ INTERFACES = {
         [topics.JOINT_STATES, topics.ROBOT_DESCRIPTION],
         calls=[*(f"{name}/get_state" for name in MANAGED), "controller/stop"],
     ),
-    DOCTOR: _node(
-        [],
-        [*topics.ALL, topics.JOINT_STATES._replace(name=FRANKA_STATES)],
-        calls=[
-            *(f"{name}/get_state" for name in MANAGED),
-            *(f"effort_controller/{service}" for service in ("get_parameters", "list_parameters")),
-        ],
-    ),
+    DOCTOR: replace(_DOCTOR, subscribes=_DOCTOR.subscribes | _OF_KUKA),
     OPERATOR: _node(
         [topics.GOAL_POSE.name],
-        [topics.GOAL_STATE, topics.SAFETY_STATE, topics.DIAGNOSTICS, topics.SETTINGS, topics.JOINT_STATES],
+        [
+            topics.JOINT_STATES,
+            topics.GOAL_STATE,
+            topics.SAFETY_STATE,
+            topics.DIAGNOSTICS,
+            topics.SETTINGS,
+            topics.CLOCK,
+        ],
         calls=[*_STOP_AND_RESET, "planner/set_parameters_atomically"],
     ),
     REPLAY: _node([f"{REPLAY}/{topic.name}" for topic in topics.ALL], []),

@@ -44,7 +44,8 @@ DEFINITIONS = {
         "msg/ControllerState.msg": """
             string name
             string state
-            string type""",
+            string type
+            string[] claimed_interfaces""",
         "srv/ListControllers.srv": """
             ---
             ControllerState[] controller""",

@@ -219,10 +219,12 @@ for line in json.loads(sys.argv[1]):
 """
 
 
-def command_lines(env: dict[str, str], *lines: str) -> list[tuple[int, str]]:
+def command_lines(env: dict[str, str], *lines: str, timeout: float = 400.0) -> list[tuple[int, str]]:
     """Run command lines in one process; returns the exit code of each, with the last line that it printed."""
     command = [sys.executable, "-c", _MANY, json.dumps(lines)]
-    result = subprocess.run(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=400)
+    result = subprocess.run(
+        command, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=timeout
+    )
     printed = result.stdout.splitlines()
     ends = [index for index, line in enumerate(printed) if line.isdecimal()]
     assert len(ends) == len(lines), result.stdout

@@ -49,12 +49,13 @@ class Constant(IntEnum):
     JOINT_SPEED = 16
     IMPACT_ENERGY = 17
     BODY_STIFFNESS = 18
+    FADE_RATE = 19
 
 
 _POSITION_ROWS, _AXIS_ROWS = 3, 5
 """`TASK_ROWS` of translation alone, and of translation and the direction of the tip's z axis."""
 
-_APPROACH = 0.02
+_APPROACH = 0.2
 """Speed towards a position limit at which half of the repulsion stops the joint, whatever the caps say, rad/s."""
 _REPULSION = 250.0
 """Acceleration by the repulsion at a position limit, rad/s²: law (1) asks for less within its bounds."""
@@ -63,7 +64,7 @@ REPULSION_MARGIN = 0.04
 _POSTURE_REACH = 0.25
 """Distance of a joint from its reference posture beyond which law (2) pulls no harder, rad: plans ask for less."""
 
-_FADE = 0.15
+FADE = 0.15
 """Share of the permitted speed within which the push of the laws fades beyond it."""
 
 _YIELD_SWEEPS = 8
@@ -341,9 +342,36 @@ def moving_mass(rows: Array, direction: Array, mass_factor: Array) -> float:
 
 
 @_compiled()
+def dot(first: Array, second: Array) -> float:
+    """Scalar product of two vectors (3,)."""
+    return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
+
+
+@_compiled()
 def norm(vector: Array) -> float:
     """Length of a vector (3,)."""
     return np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+
+
+@_compiled()
+def faded(speed_share: float, driving: float, braking: float, most: float) -> float:
+    """Share of the driving torque that is left at a speed, as a share of the permitted one: 0 from 1 + `FADE` on.
+
+    A fade is a gain on the speed. Where it were more than `most`, the rest of the push is what keeps the speed as it
+    is, against damping: the speed at which both are in balance stays the same.
+
+    Parameters
+    ----------
+    driving, braking
+        By how much driving and damping raise that share, 1/s.
+    most
+        Greatest gain, 1/s.
+    """
+    fade = (1.0 + FADE - speed_share) / FADE
+    if driving <= most * FADE:
+        return fade
+    weight = most * FADE / driving
+    return weight * fade + (1.0 - weight) * max(-braking / driving, 0.0)
 
 
 @_compiled()
@@ -378,31 +406,40 @@ def body_shares(
         Torque (n,), N m, of damping.
     """
     speed_share, share, most = 0.0, 1.0, constants[Constant.TIP_FORCE, 0]
-    for i in range(len(q)):
-        speed_share = max(speed_share, abs(v[i]) / constants[Constant.JOINT_SPEED, i])
+    rate = constants[Constant.FADE_RATE, 0]
     leading = solve_upper(mass_factor, solve_lower(mass_factor, driving[0]))
     speeding = leading + solve_upper(mass_factor, solve_lower(mass_factor, driving[1]))
     slowing = solve_upper(mass_factor, solve_lower(mass_factor, braking))
+    for i in range(len(q)):
+        part, to_share = (
+            abs(v[i]) / constants[Constant.JOINT_SPEED, i],
+            np.sign(v[i]) / constants[Constant.JOINT_SPEED, i],
+        )
+        speed_share = max(speed_share, part)
+        share = min(share, faded(part, to_share * speeding[i], to_share * slowing[i], rate))
     rotations, origins = joint_frames(placements, q)
     for index in range(len(links)):
         rows = point_jacobian(rotations, origins, int(links[index]), points[index])
-        motion = times(rows.T, v)
+        motion, push = times(rows.T, v), times(rows.T, speeding)
+        drag = times(rows.T, slowing)
         speed = norm(motion)
         if speed > 1e-3:
             energy = 0.5 * speed * speed * moving_mass(rows, motion / speed, mass_factor)
             by_energy = np.sqrt(energy / constants[Constant.IMPACT_ENERGY, 0])
-            speed_share = max(speed_share, speed / constants[Constant.BODY_SPEED, 0], by_energy)
-        push = times(rows.T, speeding)
+            part = max(speed / constants[Constant.BODY_SPEED, 0], by_energy)
+            to_share = part / (speed * speed)
+            speed_share = max(speed_share, part)
+            share = min(share, faded(part, to_share * dot(motion, push), to_share * dot(motion, drag), rate))
         acceleration = norm(push)
         if acceleration > 1e-3:
             mass = moving_mass(rows, push / acceleration, mass_factor)
-            blocked = push_share(push, times(rows.T, slowing), most / mass)
+            blocked = push_share(push, drag, most / mass)
             if blocked < share:
                 lead = times(rows.T, leading)
                 way = norm(lead) / max(constants[Constant.TASK_STIFFNESS, 0], 1e-9)
                 way += norm(push - lead) / max(constants[Constant.NULL_STIFFNESS, 0], 1e-9)
                 share = min(share, max(blocked, most / (constants[Constant.BODY_STIFFNESS, 0] * way)))
-    return speed_share, share
+    return speed_share, max(share, 0.0)
 
 
 @_compiled()
@@ -598,7 +635,6 @@ def tracking_torque(
     for i in range(n):
         driving[1, i] += pushing[i]
     found[6], push = body_shares(constants, placements, links, points, q, v, factor, driving, braking)
-    push = min(push, max((1.0 + _FADE - found[6]) / _FADE, 0.0))
     torque = push * (driving[0] + driving[1]) + braking + rest + stopping
     share = constants[Constant.GRAVITY_SHARE]
     for i in range(n):

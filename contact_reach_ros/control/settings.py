@@ -94,6 +94,14 @@ class LimitSettings(Settings):
         minimum=0.01,
         maximum=5.0,
     )
+    torque_delay: float = setting(
+        0.0,
+        "time from a velocity to the torque that answers it, beyond one period, as of filters and slow drives: the "
+        "caps on speed act no faster than is stable with it",
+        unit="s",
+        minimum=0.0,
+        maximum=0.1,
+    )
 
 
 @dataclass(frozen=True)

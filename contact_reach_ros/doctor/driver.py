@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,9 @@ def listen(options: BringupOptions, arm: Arm, period: float, seconds: float) -> 
     `SettingsError` if the parameter file is wrong, or a message package is not installed.
     """
     kind, file = options.adapter, options.parameter_file
-    settings: Any = make_settings(parameters_in(file, ADAPTER), ADAPTER_SECTIONS, arm, str(file))[kind]
+    chosen: Any = make_settings(parameters_in(file, ADAPTER), ADAPTER_SECTIONS, arm, str(file))[kind]
+    # Nothing is switched here.
+    settings = dataclasses.replace(chosen, **({"component": ""} if kind == LBR else {"brakes": False}))
     target: LbrTarget | EffortTarget
     heard: list[tuple[Any, int]] = []
     with bare_node(DOCTOR, options.discovery) as node:

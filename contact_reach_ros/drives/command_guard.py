@@ -140,8 +140,10 @@ class CommandGuard:
         if self.phase is not Phase.HARMLESS:
             return None
         if self._harmless_ns is not None and clock_ns - self._harmless_ns > self._stop_ns - self._hold_ns:
-            silence_ms = 1000 * (clock_ns - self._commanded_ns) / NANOSECONDS
-            self.stop(StopReason(StopCode.NO_COMMAND, f"no command for {silence_ms:.0f} ms"))
+            text = f"no command for {(clock_ns - self._commanded_ns) / 1e6:.0f} ms"
+            if clock_ns - self._seen_ns > self._hold_ns:
+                text += f", nothing on joint_states for {(clock_ns - self._seen_ns) / 1e6:.0f} ms: see the driver"
+            self.stop(StopReason(StopCode.NO_COMMAND, text))
         if not self._is_new and clock_ns - self._sent_ns < self._repeat_ns:
             return None
         self._is_new, self._sent_ns = False, clock_ns

@@ -81,7 +81,7 @@ class EffortTarget:
         self.topic = topics.COMMANDS._replace(name=f"{settings.controller}/commands")
         self.order: tuple[str, ...] = ()
         self.idle = ""
-        self._order_problem = self._found = ""
+        self._order_problem = self._found = self._inactive = ""
         self._node, self._arm, self._settings = node, arm, settings
         self._indices: list[int] = []
         self._writer = command_writer(arm.n)
@@ -111,10 +111,14 @@ class EffortTarget:
     @property
     def problem(self) -> str:
         """Why nothing can be passed on; empty when it can."""
-        return self._order_problem and self._order_problem + self._found
+        return self._order_problem + self._found if self._order_problem else self._inactive
 
     def look(self) -> None:
-        """Ask for the order of joints, unless it is known; to be called a few times a second."""
+        """Ask for the order of joints, unless it is known, and whether torques reach the arm.
+
+        To be called a few times a second.
+        """
+        self.ask_idle()
         if self._question is not None and self._order_problem:
             self._found = self._find_elsewhere()
             self._question.send(GetParameters.Request(names=["joints"]))
@@ -174,9 +178,17 @@ class EffortTarget:
         self.order, self._order_problem = joints, ""
 
     def _on_list(self, answer: Any) -> None:
-        name = self._settings.controller
-        state = {each.name: each.state for each in answer.controller}.get(name, "not loaded")
-        self.idle = "" if state == _ACTIVE else f"{name} is {state}"
+        name, found = self._settings.controller.rpartition("/")[2], {each.name: each for each in answer.controller}
+        state = found[name].state if name in found else "not loaded"
+        self.idle, inactive = "" if state == _ACTIVE else f"{name} is {state}", ""
+        # One that is not loaded may be that of another controller manager.
+        if state != _ACTIVE and name in found:
+            others = [each.name for each in found.values() if each.state == _ACTIVE and each.claimed_interfaces]
+            instead = f", and {', '.join(others)} commands the drive" if others else ""
+            switch = f"--activate {name}" + (f" --deactivate {' '.join(others)}" if others else "")
+            inactive = f"{name} is {state}{instead}: ros2 control switch_controllers {switch}"
+        # At once: the loop reads it in another thread.
+        self._inactive = inactive
 
     def _switch_controller(self, act: str) -> None:
         if self._switch is None:

@@ -251,6 +251,12 @@ class FriStates:
         return self._check.problem
 
     @property
+    def delay(self) -> float:
+        """Time from a velocity to the torque that answers it, s: two periods of FRI, and the filter of velocities."""
+        cutoff = self._settings.velocity_cutoff
+        return 2.0 * self._period + (1.0 / (2.0 * math.pi * cutoff) if cutoff else 0.0)
+
+    @property
     def has_states(self) -> bool:
         """Whether a state has come."""
         return self._q is not None

@@ -28,6 +28,7 @@ except ImportError:
     SetHardwareComponentState = None
 
 _OBSERVER, _CUTOFF = "observer", "momentum.torque_cutoff"
+_CONTROLLER, _DELAY = "controller", "limits.torque_delay"
 _LONGEST_PERIOD_S = 0.002
 _LARGEST_DESCRIPTION = 1 << 20
 """Bytes."""
@@ -135,7 +136,12 @@ class LbrTarget:
 
     def hear(self, node: str, settings: Mapping[str, Any]) -> str:
         """Why a node's settings do not fit the drive; empty if they do."""
-        cutoff = settings.get(_CUTOFF, 0.0)
+        cutoff, least = settings.get(_CUTOFF, 0.0), self.states.delay
+        if node == _CONTROLLER and settings.get(_DELAY, least) < least:
+            return (
+                f"{_DELAY} = {settings[_DELAY]:g} s in the controller; expected at least {least:.4f} s: torques act "
+                "two periods late, and lbr.velocity_cutoff delays velocities"
+            )
         if node == _OBSERVER and cutoff:
             return f"{_CUTOFF} = {cutoff:g} in the observer; expected 0: the adapter undoes the driver's filter"
         return ""

@@ -15,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from contact_reach_ros.arm import Array
@@ -32,6 +33,7 @@ from contact_reach_ros.ros.graph import goal_topic
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, OPERATOR, STOPPABLE
 from contact_reach_ros.ros.process import bare_node, in_namespace
+from contact_reach_ros.timing import NANOSECONDS
 
 PLANNER, CONTROLLER = "planner", "controller"
 
@@ -48,7 +50,7 @@ _FOLLOWED_S = 8.0
 _COMPILED_S = 120.0
 """For a planner that has just been started, which compiles, and for the nodes that bring-up starts then."""
 _CHECKED_S = 20.0
-"""For a controller that waits for its observer, and an adapter that checks its drive; simulated time may be slow."""
+"""For a controller that waits for its observer, and an adapter that checks its drive."""
 _SILENCE_S = 5.0
 _REST_S = 5.0
 """Time in which the arm should be at rest after a stop, and the controller have heard that the observer is reset."""
@@ -195,11 +197,14 @@ class StackClient(Client):
         self.settings: dict[str, dict[str, Any]] = {}
         self.goal_state: GoalState | None = None
         self._goal_ns = 0
+        self._clock_ns = 0
+        """Simulated time; 0 where there is none."""
         self._goals = self._goal_publisher(topics.GOAL_POSE.name)
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self.inbox.add(topics.DIAGNOSTICS, self._on_diagnostics)
         self.inbox.add(topics.GOAL_STATE, self._on_goal_state, topics.ALL_EVENTS)
         self.inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
+        self.inbox.add(topics.CLOCK, self._on_clock, topics.NEWEST)
 
     def hears(self, name: str, topic: Topic) -> bool:
         """Whether the node of this name is known to subscribe to a topic."""
@@ -300,7 +305,7 @@ class StackClient(Client):
         self.hear_stops()
         if self.stops:
             return Outcome(False, f"not sent, the arm is stopped: {self.why_stopped}; first: contact-reach reset")
-        if not self.until(lambda: not self._idle(), _CHECKED_S):
+        if not self.until_robot(lambda: not self._idle(), _CHECKED_S):
             return Outcome(False, f"not sent, nothing is commanded: {self._idle()}")
         before = self._plans_accepted()
         self.send_goal(position, rotation)
@@ -309,7 +314,7 @@ class StackClient(Client):
             state = self.goal_state
             return bool(self.stops) or (state is not None and (state.phase.is_over or self._plans_accepted() > before))
 
-        self.until(is_judged, _FOLLOWED_S)
+        self.until_robot(is_judged, _FOLLOWED_S)
         if self.stops:
             return Outcome(False, f"stopped: {self.why_stopped}")
         if self.goal_state is None:
@@ -324,6 +329,16 @@ class StackClient(Client):
             )
         return Outcome(True, "the goal is taken: the controller follows the plans for it")
 
+    def until_robot(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Wait for what the robot does, as `until`; as long as simulated time goes on, `timeout`, s, is of that."""
+        give_up_ns = self._clock_ns + timeout * NANOSECONDS
+        while True:
+            before_ns = self._clock_ns
+            if self.until(condition, timeout):
+                return True
+            if not before_ns < self._clock_ns < give_up_ns:
+                return False
+
     def send_goal(self, position: Array, rotation: Array | None = None, stamp_ns: int | None = None) -> None:
         """Publish a goal (3,), m, (3, 3), stamped with the present time by default."""
         stamp = self.node.get_clock().now().to_msg() if stamp_ns is None else to_time(stamp_ns)
@@ -334,7 +349,7 @@ class StackClient(Client):
         """Wait until the flange has settled at the goal, for at most some time of the robot's clock, s."""
         while True:
             state, self.goal_state = self.goal_state, None
-            if state is None and self.until(lambda: self.goal_state is not None or bool(self.stops), _SILENCE_S):
+            if state is None and self.until_robot(lambda: self.goal_state is not None or bool(self.stops), _SILENCE_S):
                 state = self.goal_state
             if self.stops:
                 return Outcome(False, f"stopped: {self.why_stopped}")
@@ -359,6 +374,9 @@ class StackClient(Client):
 
     def _plans_accepted(self) -> int:
         return int(self.diagnostics[CONTROLLER].get("plans accepted", 0))
+
+    def _on_clock(self, message: Clock) -> None:
+        self._clock_ns = nanoseconds(message.clock)
 
     def _on_goal_state(self, message: DiagnosticStatus) -> None:
         stamp_ns, state = read_goal_state(message)

@@ -7,8 +7,8 @@ from arm_simulation import random_states
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.control.constants import body_of, make_constants
-from contact_reach_ros.control.kernels import body_shares, factorise, push_share
+from contact_reach_ros.control.constants import FADE_SHARE, body_of, make_constants
+from contact_reach_ros.control.kernels import FADE, body_shares, factorise, faded, push_share
 from contact_reach_ros.control.settings import IMPACT_ENERGY, JOINT_SHARE, ImpedanceSettings, LimitSettings
 
 LIMITS, GAINS = LimitSettings(), ImpedanceSettings()
@@ -43,7 +43,7 @@ def by_pinocchio(model: RobotModel, q, v, driving, braking) -> tuple[float, floa
             forces = np.minimum(mass * np.linalg.norm(shares * push + brake, axis=1), 75e3 * way * shares[:, 0])
             fits = shares[:, 0][forces <= LIMITS.tip_force]
             share = min(share, fits.max() if len(fits) else shares[forces.argmin(), 0])
-    return speed, share
+    return speed, min(share, max((1.0 + FADE - speed) / FADE, 0.0))
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "panda", "ur10"])
@@ -84,3 +84,24 @@ def test_a_point_near_an_axis_presses_no_harder_than_its_way_allows(lever, torqu
     placement, driving = np.eye(3, 4), np.array([[torque], [0.0]])
     found = body_shares(constants, placement, none, np.array([[lever, 0.0, 0.0]]), none, none, factor, driving, none)
     assert found[1] == pytest.approx(share, rel=1e-3)
+
+
+def speeds_at_the_cap(late, most):
+    """Speeds, as shares of the permitted one, of a mass that is pushed and damped, by velocities of `late` ms ago."""
+    driving, damping, seen = 160.0, 100.0, [0.0] * (late + 1)
+    for _ in range(2000):
+        speed = seen[-1 - late]
+        push = min(max(faded(speed, driving, -damping * speed, most), 0.0), 1.0)
+        seen.append(seen[-1] + 0.001 * (push * driving - damping * speed))
+    return np.array(seen[1000:])
+
+
+def test_the_fade_of_the_push_does_not_shake_an_arm_whose_torques_are_late():
+    """The speed at which push and damping are in balance does not depend on the delay."""
+    late = 10
+    shaking = speeds_at_the_cap(late, np.inf)
+    assert np.ptp(shaking) > 0.5
+    steady = speeds_at_the_cap(0, np.inf)
+    found = speeds_at_the_cap(late, 1000 * FADE_SHARE / late)
+    assert np.ptp(steady) < 1e-6 and 1.0 < steady[-1] < 1.0 + FADE
+    np.testing.assert_allclose(found, steady[-1], atol=1e-3)

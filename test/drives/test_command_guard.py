@@ -73,6 +73,12 @@ def test_silence_brings_the_harmless_torque_and_then_a_latched_stop(bench):
     assert bench.tick()[0] is not None
 
 
+def test_without_joint_states_there_are_no_commands_which_the_stop_says(bench):
+    bench.command()
+    bench.tick(150, states=False)
+    assert bench.guard.stop_reason == "no command for 102 ms, nothing on joint_states for 102 ms: see the driver"
+
+
 @pytest.mark.parametrize(
     ("torque", "message"),
     [

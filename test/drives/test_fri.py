@@ -240,8 +240,10 @@ class LineCore(StayingCore):
 class BehindAdapter(Stack):
     """The stack with config/lbr.yaml, whose controller hears from the adapter whether commands pass."""
 
-    def __init__(self, robot):
-        file, arm = config_file("lbr.yaml"), robot.robot.plant.arm
+    def __init__(self, robot, scene=None):
+        """`scene`: what the stack takes for the robot's; by default that one."""
+        scene = scene or robot.robot.scene
+        file, arm = config_file("lbr.yaml"), scene.arm
         chosen = {
             node: make_settings(parameters_in(file, node), SECTIONS[node], arm, str(file))
             for node in ("controller", "observer")
@@ -249,7 +251,7 @@ class BehindAdapter(Stack):
         controller = ControllerSettings.from_sections(chosen["controller"])
         supervision = dataclasses.replace(controller.supervision, adapter=True)
         super().__init__(
-            robot.robot.scene,
+            scene,
             planner=LineCore(),
             controller=dataclasses.replace(controller, supervision=supervision),
             observer=ObserverSettings.from_sections(chosen["observer"]),
@@ -279,3 +281,18 @@ def test_two_goals_settle_within_a_millimetre_without_a_false_contact(generation
         result = stack.run(Goal(goal), until_settled=True)
         assert result.settled and result.distance < 0.001, result
     assert not stack.robot.robot.ended and stack.observer.monitor.contacts == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("tau", "settles"), [(0.016, True), (0.1, False)])
+def test_a_filter_of_torques_that_the_driver_does_not_tell_is_harmless_or_ends_the_motion_at_once(tau, settles):
+    """Of 10 Hz and of 1.6 Hz; the latter looks like contact, which the goal is lost for."""
+    robot = behind_adapter(LATER, measured_torque_tau=tau)
+    robot.states.describe(described(CONFIGS[LATER] | {"measured_torque_tau": 0.0}), True)
+    for _ in range(500):
+        robot.robot.step(robot.robot.now_ns)
+    stack = BehindAdapter(robot)
+    stack.settle(2.0)
+    result = stack.run(Goal(GOALS[0]), until_settled=True)
+    assert result.settled == settles
+    assert settles or (robot.moved < FAR_MOVED and "unexpected contact" in stack.planner.goal_state.reason)

@@ -13,7 +13,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.mount import mounted
 from contact_reach_ros.doctor.arm import JointRecord, gravity
 from contact_reach_ros.doctor.findings import Verdict
-from contact_reach_ros.drives.command_guard import CommandGuard
+from contact_reach_ros.drives.command_guard import CommandGuard, Phase
 from contact_reach_ros.drives.settings import AdapterSettings
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.scenes.generate import load_scene
@@ -100,6 +100,15 @@ def test_a_model_that_stands_is_stopped_on_a_ceiling_as_soon_as_the_brakes_open(
     assert stop.endswith("it assumes gravity 9.81 m/s² along -z of lbr_link_0")
     # Its weight acts twice, until the brakes close again.
     assert robot.plant.actuation is Actuation.BRAKED and np.linalg.norm(robot.plant.tip_position - start) < 0.06
+
+
+def test_a_model_that_stands_is_refused_on_a_ceiling_before_torques_where_the_driver_holds_the_arm():
+    robot = Adapted(KukaRobot(load_scene("free", arm_on("ceiling")), 0.002, LATER))
+    stack = BehindAdapter(robot, load_scene("free"))
+    stack.settle(2.0)
+    stop = stack.observer.monitor.stop_reason
+    assert stop.startswith("at hand-over") and stop.endswith("it assumes gravity 9.81 m/s² along -z of lbr_link_0")
+    assert robot.guard.phase is Phase.WAITING and robot.moved < 0.001
 
 
 @pytest.mark.parametrize(("mount", "verdict"), [("ceiling", Verdict.FAIL), ("slope", Verdict.WARN)])

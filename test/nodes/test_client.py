@@ -1,5 +1,8 @@
 """What a client makes of messages, without any other node; commands with a stack run in test_lockstep_stack.py."""
 
+import itertools
+import time
+
 import numpy as np
 import pytest
 import rclpy
@@ -8,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
 from stack_helpers import hand_in, ros
 
 from contact_reach_ros.bringup import stack_processes
@@ -15,11 +19,12 @@ from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.conversions import to_status, to_stop_state
+from contact_reach_ros.messages.conversions import to_status, to_stop_state, to_time
 from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros import client as client_module
 from contact_reach_ros.ros.client import StackClient
+from contact_reach_ros.timing import NANOSECONDS
 
 
 @pytest.fixture
@@ -138,6 +143,40 @@ def test_a_goal_is_taken_when_the_planner_pursues_it_and_the_controller_accepts_
     monkeypatch.setattr(client.node, "count_publishers", lambda _: 1)
     outcome = client.go(np.zeros(3), None)
     assert text in outcome.text and outcome.done == text.startswith("the goal is taken")
+
+
+@pytest.mark.parametrize(
+    ("advance", "waits"),
+    [
+        pytest.param(None, False, id="real time"),
+        pytest.param(0.0, False, id="simulated time that stands still"),
+        pytest.param(0.1, True, id="slow simulated time"),
+        pytest.param(10.0, False, id="simulated time of a planner that is silent"),
+    ],
+)
+def test_a_slow_simulation_is_no_silence(client, monkeypatch, advance, waits):
+    monkeypatch.setattr(client_module, "_SILENCE_S", 0.1)
+    client.send_goal(np.zeros(3))
+    spins = itertools.count(1)
+
+    def spin(_):
+        """Of the goal is heard after half a second."""
+        time.sleep(0.02)
+        turn = next(spins)
+        if advance is not None:
+            now_ns = round((5.0 + 0.02 * advance * turn) * NANOSECONDS)
+            hear(client, topics.CLOCK, Clock(clock=to_time(now_ns)))
+        if turn == 25:
+            hear(
+                client,
+                topics.GOAL_STATE,
+                to_goal_state(GoalState(GoalPhase.SETTLED), client._goal_ns, "planner", ARM),
+            )
+
+    monkeypatch.setattr(client, "spin", spin)
+    client.spin(0.0)
+    outcome = client.watch(60.0)
+    assert outcome.done == waits and outcome.text.startswith("settled" if waits else "nothing heard of the goal for")
 
 
 @pytest.mark.usefixtures("signal_handlers")

@@ -1,12 +1,10 @@
 """What the adapter makes of the messages of KUKA's and Franka's drivers, and what it asks of the other nodes."""
 
-import importlib
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from kuka import CONFIGS, LATER, OF_2024, KukaRobot, described
-from message_packages import message_packages
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from stack_helpers import hand_in, ros
@@ -27,7 +25,9 @@ from contact_reach_ros.drives.settings import (
 from contact_reach_ros.errors import SettingsError, StopCode
 from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.adapter import AdapterNode
+from contact_reach_ros.resources import config_file
 from contact_reach_ros.scenes.generate import load_scene
+from contact_reach_ros.settings import parameters_in
 from contact_reach_ros.timing import NANOSECONDS
 
 ARM = load_arm("iiwa14")
@@ -68,22 +68,7 @@ class Node:
         return SimpleNamespace(info=lambda line: None, warning=self.warned.append, error=lambda line: None)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def packages():
-    """The drivers' message packages, from which both modules take their types."""
-    folders = message_packages()
-    with pytest.MonkeyPatch.context() as patched:
-        for folder in folders:
-            patched.syspath_prepend(folder)
-        for module, package, names in (
-            (lbr, "lbr_fri_idl.msg", ("LBRState", "LBRTorqueCommand")),
-            (lbr, "controller_manager_msgs.srv", ("SetHardwareComponentState",)),
-            (effort, "controller_manager_msgs.srv", ("ListControllers", "SwitchController")),
-            (franka, "franka_msgs.srv", ("SetFullCollisionBehavior",)),
-        ):
-            for name in names:
-                patched.setattr(module, name, getattr(importlib.import_module(package), name))
-        yield
+pytestmark = pytest.mark.usefixtures("packages")
 
 
 def make_lbr(node=None, is_described=True, **settings):
@@ -193,11 +178,34 @@ def test_a_stop_deactivates_the_effort_controller_unless_the_arm_would_drop(carr
     ],
 )
 def test_torques_reach_an_arm_whose_effort_controller_is_active(states, idle):
-    listed = [SimpleNamespace(name=name, state=state) for name, state in states.items()]
+    listed = [SimpleNamespace(name=name, state=state, claimed_interfaces=[]) for name, state in states.items()]
     target = effort.EffortTarget(Node(SimpleNamespace(controller=listed)), ARM, EffortSettings(ask_joints=False), True)
     assert not target.idle
     target.ask_idle()
     assert target.idle == idle
+
+
+def test_nothing_passes_while_another_controller_commands_the_drive():
+    def listed(own, other):
+        states = {"joint_state_broadcaster": "active", "effort_controller": own, "trajectories": other}
+        claimed = {"trajectories": ["lbr_A1/effort"]}
+        return SimpleNamespace(
+            controller=[
+                SimpleNamespace(name=name, state=state, claimed_interfaces=claimed.get(name, []))
+                for name, state in states.items()
+            ]
+        )
+
+    node = Node(listed("inactive", "active"))
+    target = effort.EffortTarget(node, ARM, EffortSettings(ask_joints=False), True)
+    target.look()
+    assert target.problem == (
+        "effort_controller is inactive, and trajectories commands the drive: ros2 control switch_controllers "
+        "--activate effort_controller --deactivate trajectories"
+    )
+    node.answer = listed("active", "inactive")
+    target.look()
+    assert not target.problem
 
 
 def test_torques_reach_a_kuka_in_a_commanding_session_until_its_component_is_deactivated():
@@ -332,11 +340,19 @@ def test_a_cutoff_of_the_observer_is_refused_as_torques_come_unfiltered():
     assert not make_lbr().hear("observer", {"momentum.torque_cutoff": 0.0})
 
 
+def test_a_controller_that_does_not_know_of_the_delay_is_refused():
+    said = make_lbr().hear("controller", {"limits.torque_delay": 0.0})
+    assert said.startswith("limits.torque_delay = 0 s in the controller; expected at least 0.0093 s")
+    file = parameters_in(config_file("lbr.yaml"), "controller")
+    assert file["limits.torque_delay"] and not make_lbr().hear("controller", file)
+
+
 def make_franka(node=None, **settings):
     return franka.FrankaTarget(node or Node(), ARM, FrankaSettings(**settings))
 
 
-def test_nothing_passes_before_the_reflexes_are_set():
+def test_nothing_passes_before_the_reflexes_are_set(monkeypatch):
+    monkeypatch.setattr(effort, "ListControllers", None)
     node = Node(franka.SetFullCollisionBehavior.Response(success=True))
     target = make_franka(node, ask_joints=False)
     assert target.problem.startswith("the reflexes are not set yet")

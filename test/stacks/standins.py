@@ -65,11 +65,13 @@ class EffortDriver(StandIn):
 
     BRAKES = False
     FORWARD = False
+    RIVAL = ""
+    """Name of a controller that is active in its place."""
 
     def __init__(self):
         super().__init__()
         self.joints = [self.arm.joint_names[index] for index in (2, 0, 1, 6, 5, 4, 3)]
-        self._is_active = True
+        self._is_active = not self.RIVAL
         self._last = np.zeros(self.arm.n)
         self.create_service(GetParameters, "effort_controller/get_parameters", self._on_parameters)
         self.create_service(SwitchController, "controller_manager/switch_controller", self._on_switch)
@@ -90,6 +92,9 @@ class EffortDriver(StandIn):
         state = "active" if self._is_active else "inactive"
         response.controller = [ControllerState(name="joint_state_broadcaster", state="active")]
         response.controller.append(ControllerState(name="effort_controller", state=state))
+        if self.RIVAL:
+            claimed = [f"{name}/effort" for name in self.joints]
+            response.controller.append(ControllerState(name=self.RIVAL, state="active", claimed_interfaces=claimed))
         return response
 
     def _on_switch(self, request, response):
@@ -196,6 +201,6 @@ if __name__ == "__main__":
         if kind == "lbr":
             OF_KUKA[name] = float(value) if name == "stiffness" else value
         else:
-            setattr(DRIVERS[kind], name, value == "true")
+            setattr(DRIVERS[kind], name, value if name == "RIVAL" else value == "true")
     carries = [] if kind == "effort" else ["-p", "watchdog.carries:=true"]
     sys.exit(run(DRIVERS[kind], [*sys.argv, "--ros-args", "-p", "watchdog.enabled:=false", *carries]))
