@@ -19,7 +19,7 @@ from contact_reach_ros.errors import ContactReachError, InputError, SceneError, 
 from contact_reach_ros.scenes.fitting import fitted
 from contact_reach_ros.scenes.placing import free_path, on_hand, on_middle, place
 from contact_reach_ros.world.collision import check_goal, check_hand, nearest, overlap_depths
-from contact_reach_ros.world.goal import Goal, Target
+from contact_reach_ros.world.goal import FREE, Goal
 from contact_reach_ros.world.obstacle import MeshSettings, Obstacle, WallSettings, bodies
 from contact_reach_ros.world.scene import MismatchSettings, Scene
 from contact_reach_ros.world.scene_file import SceneFile, read_scene
@@ -97,6 +97,8 @@ def make_scene(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None = 
         If the start is not within the limits of the arm's joints, or the arm has no such inertia set.
     """
     _warn_of_openings(file, arm)
+    # A tool of the arm's own replaces the scene's.
+    arm = arm if arm.bare else arm.with_tool(file.tool)
     own, frame = standing(arm) if file.target.reach else arm, scene_frame(arm)
     try:
         made = fitted(file, arm)
@@ -155,7 +157,7 @@ def _drawn(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None) -> Sc
             centers.append(center)
         else:
             obstacles = bodies(file.obstacles, centers)
-            scene = Scene(file.name, arm, seed, start, wanted, obstacles, environment=file.environment)
+            scene = _scene(file, arm, seed, start, wanted, obstacles)
             reason = conflict(scene)
             if not reason:
                 return scene
@@ -182,8 +184,13 @@ def _check_placed(file: SceneFile, arm: Arm, start: Array) -> None:
     # Without a target of its own, the scene is checked only at the start.
     target = np.full(3, np.nan) if file.target.position is None else np.array(file.target.position)
     obstacles = bodies(placed, [np.array(section.center) for section in placed])
-    if reason := conflict(Scene(file.name, arm, 0, start, target, obstacles, environment=file.environment)):
+    if reason := conflict(_scene(file, arm, 0, start, target, obstacles)):
         raise SceneError(reason)
+
+
+def _scene(file: SceneFile, arm: Arm, seed: int, start: Array, target: Array, obstacles: tuple[Obstacle, ...]) -> Scene:
+    orientation, environment = file.target.orientation, file.environment
+    return Scene(file.name, arm, seed, start, target, obstacles, environment=environment, orientation=orientation)
 
 
 def _targets(
@@ -214,7 +221,7 @@ def _targets(
             else:
                 yield drawn, path
         return
-    goal = Goal(given).resolve(model.arm, rotation)
+    goal = Goal(given, file.target.orientation).resolve(model.arm, rotation)
     check_goal(model.arm, goal, file.environment, start)
     placed = " and ".join(section.KIND for section in file.obstacles if section.center is None)
     try:
@@ -268,8 +275,8 @@ def _rigid_conflict(scene: Scene) -> str:
     if not np.isfinite(scene.target).all():
         return ""
     try:
-        target = Target(scene.target, link_frames(arm, scene.start)[0][-1])
-        check_hand(arm, target.of_task(arm.task), scene.environment)
+        target = scene.goal.resolve(arm, link_frames(arm, scene.start)[0][-1])
+        check_hand(arm, target, scene.environment)
     except InputError as error:
         return str(error)
     return ""
@@ -291,6 +298,8 @@ def _conflict_with(obstacle: Obstacle, scene: Scene) -> str:
     index = inside.argmax()
     if inside[index] > _TOLERANCE:
         return f"{name} lies {1000 * inside[index]:.1f} mm inside {_sphere(obstacle, int(index))}; {remedy} the target"
+    if scene.orientation == FREE:
+        return ""
     shift = scene.target - link_frames(arm, scene.start)[1][-1]
     moved = overlap_depths(arm, starts[moving(arm)] + shift, ends[moving(arm)] + shift, obstacle.rest, radius)
     in_hand: Array = np.where(obstacle.fixed, moved[on_hand(arm)].max(axis=0, initial=-np.inf), -np.inf)

@@ -15,11 +15,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import Array
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Settings, setting
 
 _WALL_HARDENING = 0.3
 """Of the springs in a wall: with it and the default stiffness, nodes pressed with 10 N yield within 15 % as far as
 those of the planner's mesh, which does not harden."""
+
+BOTTOM, MIDDLE = "bottom", "middle"
+"""Nodes of a box that are fixed."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +111,7 @@ class BallSettings(ObstacleSettings):
     mass: float = setting(0.1, "mass", unit="kg", minimum=0.001, maximum=10.0)
     stiffness: float = setting(100.0, "spring that holds it in place", unit="N/m", minimum=1.0, maximum=5000.0)
     damping: float = setting(30.0, "damping of its motion", unit="N s/m", minimum=0.0, maximum=500.0)
+    fixed: bool = setting(False, "whether it stays where it is, whatever pushes it")
 
     @property
     def material(self) -> Material:
@@ -115,7 +120,7 @@ class BallSettings(ObstacleSettings):
 
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The ball at `center` (3,), m."""
-        return (Obstacle(self.KIND, "the ball", center[None], self.radius, self.material, np.zeros(1, bool)),)
+        return (Obstacle(self.KIND, "the ball", center[None], self.radius, self.material, np.array([self.fixed])),)
 
 
 @dataclass(frozen=True)
@@ -159,15 +164,15 @@ class MeshSettings(ObstacleSettings):
         along = (np.moveaxis(index, axis, 0) for axis in range(3))
         return np.concatenate([np.stack([line[:-1].ravel(), line[1:].ravel()], axis=1) for line in along])
 
-    def _body(self, name: str, points: Array, fixed_level: int) -> Obstacle:
+    def _body(self, name: str, points: Array, held: tuple[slice | int, ...]) -> Obstacle:
         fixed = np.zeros(self.nodes, bool)
-        fixed[:, :, fixed_level] = True
+        fixed[held] = True
         return Obstacle(self.KIND, name, points, self.node_radius, self.material, fixed.ravel(), edges=self.edges())
 
 
 @dataclass(frozen=True)
 class BoxSettings(MeshSettings):
-    """A deformable box whose lowest nodes are fixed."""
+    """A deformable box that is fixed at its lowest nodes, or in its middle."""
 
     KIND: ClassVar[str] = "box"
 
@@ -175,11 +180,22 @@ class BoxSettings(MeshSettings):
     angles: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0), "roll, pitch and yaw about the axes of the base", unit="rad", minimum=-6.3, maximum=6.3
     )
+    fixed: str = setting(
+        BOTTOM,
+        "nodes that cannot move: the lowest, or all but the outer rows along y",
+        choices=(BOTTOM, MIDDLE),
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.fixed == MIDDLE and self.nodes[1] < 3:
+            raise SettingsError(f"box: nodes = {self.nodes}: expected 3 or more along y where fixed is {MIDDLE}")
 
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The box around `center` (3,), m."""
         turned = Rotation.from_euler("xyz", self.angles).apply(self.points(np.zeros(3)))
-        return (self._body("the box", center + turned, 0),)
+        held = np.s_[:, :, 0] if self.fixed == BOTTOM else np.s_[:, 1:-1, :]
+        return (self._body("the box", center + turned, held),)
 
 
 @dataclass(frozen=True)
@@ -203,8 +219,8 @@ class WallSettings(MeshSettings):
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The lower and the upper wall around a gap whose centre is at `center` (3,), m."""
         offset = np.array([0.0, 0.0, 0.5 * (self.gap + self.size[2])])
-        lower = self._body("the lower wall", self.points(center - offset), 0)
-        upper = self._body("the upper wall", self.points(center + offset), -1)
+        lower = self._body("the lower wall", self.points(center - offset), np.s_[:, :, 0])
+        upper = self._body("the upper wall", self.points(center + offset), np.s_[:, :, -1])
         return lower, upper
 
 

@@ -64,6 +64,7 @@ REFUSED = [
     # What no seed makes possible. The flange starts at (0.528, 0, 0.378); the forearm ends 0.126 m above it.
     ("target: {start: [0, 0, 0, 2.2, 0, 0, 0]}", r"expected lbr_A4 in \[-2\.094, 2\.094\] rad"),
     ("target: {start: [0, 0, 0, 0, 0, 0]}", "expected a list of 7 values"),
+    ("box: {fixed: middle, nodes: [2, 2, 4]}", r"expected 3 or more along y"),
     ("mismatch: {inertia_set: other}", "set 'other' is unknown; expected one of nominal, alternative"),
     ("ball: {center: [0.528, 0.0, 0.6]}", r"at the start lbr_link_\d lies \d+\.\d mm deep in the ball"),
     ("ball: {center: [0.0, 0.15, 0.2]}", r"at the start lbr_link_0 lies 60\.0 mm deep in the ball"),
