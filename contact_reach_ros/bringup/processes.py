@@ -194,6 +194,8 @@ def _of_scene(scene: SceneFile, parameter_file: Path, namespace: str) -> dict[st
     values: dict[str, float] = {}
     for obstacle in anywhere(scene):
         material = obstacle.material
+        if obstacle.bending is not None:
+            continue  # Its markers have the stiffness of each edge.
         if obstacle.is_deformable:
             name, value = "edge_stiffness", material.edge_stiffness
         else:

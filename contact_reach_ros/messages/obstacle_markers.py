@@ -82,6 +82,9 @@ def _markers_of(obstacle: Obstacle, number: int, places: Array) -> list[Marker]:
         marker.points = [to_point(point) for point in points.tolist()]
         if is_ball:
             (marker.pose.position,), marker.points = marker.points, []
+        if namespace == EDGES and np.ptp(obstacle.edge_stiffness):
+            numbers = [obstacle.material.damping, *obstacle.edge_stiffness]
+            marker.text = " ".join(f"{number:.6g}" for number in numbers)
         markers.append(marker)
     return markers
 

@@ -33,11 +33,21 @@ class PlanningSettings(Settings):
     progress_weight: float = setting(
         0.2, "λ2 of (5): distance from the start of the plan", unit="1/m", minimum=0.0, maximum=100.0
     )
+    terminal_weight: float = setting(
+        0.0,
+        "distance to the goal at the end of the plan alone, as in the authors' code",
+        unit="1/m",
+        minimum=0.0,
+        maximum=1000.0,
+    )
     contact_limit_weight: float = setting(
         5.0, "λ3 of (5): contact force above the permitted one", unit="1/N", minimum=0.0, maximum=100.0
     )
     contact_weight: float = setting(
         0.01, "any contact force, so that permitted ones stay low", unit="1/N", minimum=0.0, maximum=100.0
+    )
+    contact_squared_weight: float = setting(
+        0.0, "squared contact forces of all links, as in the authors' code", unit="1/N²", minimum=0.0, maximum=100.0
     )
     contact_patience: float = setting(
         0.5,

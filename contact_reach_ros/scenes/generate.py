@@ -97,8 +97,7 @@ def make_scene(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None = 
         If the start is not within the limits of the arm's joints, or the arm has no such inertia set.
     """
     _warn_of_openings(file, arm)
-    # A tool of the arm's own replaces the scene's.
-    arm = arm if arm.bare else arm.with_tool(file.tool)
+    arm = file.equipped(arm)
     own, frame = standing(arm) if file.target.reach else arm, scene_frame(arm)
     try:
         made = fitted(file, arm)
@@ -138,10 +137,14 @@ def _moved(scene: Scene, arm: Arm, frame: SceneFrame) -> Scene:
 
 def _drawn(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None) -> Scene:
     arm.inertias(file.mismatch.inertia_set)
-    start = file.target.start_of(arm)
+    start, random = file.target.start_of(arm), np.random.default_rng(seed)
+    file = dataclasses.replace(file, obstacles=tuple(section.drawn(random) for section in file.obstacles))
     _check_placed(file, arm, start)
-    random = np.random.default_rng(seed)
     given = file.target.position if target is None else target
+    placed = [section for section in file.obstacles if section.center is not None]
+    goals = np.concatenate([np.zeros((0, 3)), *(section.goals(np.array(section.center)) for section in placed)])
+    if given is None and len(goals):
+        given = random.choice(goals)
     tries = _TARGET_TRIES
     if any(isinstance(section, WallSettings) for section in file.obstacles):
         tries = min(tries, _TARGET_TRIES_WITH_WALLS)
@@ -286,18 +289,21 @@ def _conflict_with(obstacle: Obstacle, scene: Scene) -> str:
     """How an obstacle lies in the arm or base at the start, or where the flange is to go; empty if it does not."""
     arm, radius, remedy = scene.arm, obstacle.radius, f"move {obstacle.kind}.center, or change"
     starts, ends = (points[0] for points in shape_segments(arm, scene.start[None]))
-    depths = overlap_depths(arm, starts, ends, obstacle.rest, radius)
+    outline = obstacle.outline
+    depths = overlap_depths(arm, starts, ends, outline, radius)
     shape, index = np.unravel_index(depths.argmax(), depths.shape)
     if depths[shape, index] > _TOLERANCE:
         return (
             f"at the start {shape_name(arm, int(shape))} lies {1000 * depths[shape, index]:.1f} mm deep in "
-            f"{_sphere(obstacle, int(index))}; {remedy} target.start"
+            f"{_sphere(obstacle, outline[index])}; {remedy} target.start"
         )
     name = f"target {np.round(scene.target, 3).tolist()} m"
-    inside = radius - np.linalg.norm(obstacle.rest - scene.target, axis=1)
+    inside = radius - np.linalg.norm(outline - scene.target, axis=1)
     index = inside.argmax()
     if inside[index] > _TOLERANCE:
-        return f"{name} lies {1000 * inside[index]:.1f} mm inside {_sphere(obstacle, int(index))}; {remedy} the target"
+        return (
+            f"{name} lies {1000 * inside[index]:.1f} mm inside {_sphere(obstacle, outline[index])}; {remedy} the target"
+        )
     if scene.orientation == FREE:
         return ""
     shift = scene.target - link_frames(arm, scene.start)[1][-1]
@@ -306,12 +312,12 @@ def _conflict_with(obstacle: Obstacle, scene: Scene) -> str:
     index = in_hand.argmax()
     if in_hand[index] > _TOLERANCE:
         return (
-            f"{name}: there the hand lies {1000 * in_hand[index]:.1f} mm deep in {_sphere(obstacle, int(index))}, "
-            f"which is fixed; {remedy} the target"
+            f"{name}: there the hand lies {1000 * in_hand[index]:.1f} mm deep in "
+            f"{_sphere(obstacle, obstacle.rest[index])}, which is fixed; {remedy} the target"
         )
     return ""
 
 
-def _sphere(obstacle: Obstacle, index: int) -> str:
-    """Describe one sphere in words."""
-    return f"{obstacle.name} (at {np.round(obstacle.rest[index], 3).tolist()} m, radius {obstacle.radius:g} m)"
+def _sphere(obstacle: Obstacle, place: Array) -> str:
+    """Describe the sphere at a place (3,), m, in words."""
+    return f"{obstacle.name} (at {np.round(place, 3).tolist()} m, radius {obstacle.radius:g} m)"

@@ -1,4 +1,4 @@
-"""Obstacles, bodies of soft spheres, and their kinds in scene files: balls, boxes and walls."""
+"""Obstacles, bodies of soft spheres, and kinds of them in scene files: balls, boxes and walls."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ _WALL_HARDENING = 0.3
 """Of the springs in a wall: with it and the default stiffness, nodes pressed with 10 N yield within 15 % as far as
 those of the planner's mesh, which does not harden."""
 
+_ALONG = np.linspace(0.0, 1.0, 21)
+"""Places along a link, as shares of its length."""
 BOTTOM, MIDDLE = "bottom", "middle"
 """Nodes of a box that are fixed."""
 
@@ -46,6 +48,28 @@ class Material:
     """h: a simulated edge of length l whose ends have moved apart by s has the stiffness k (1 + h (s / l)²)."""
 
 
+@dataclass(frozen=True)
+class Bending:
+    """Chains of links in place of movable spheres: how the simulation has a body that is fixed at its first sphere.
+
+    A sphere is at the end of each link that moves. Joints are at all spheres of a stem but the first and the last, and
+    halfway from the first to the second.
+    """
+
+    stems: tuple[tuple[int, ...], ...]
+    """Spheres of each stem, from the fixed one on."""
+    masses: tuple[tuple[float, ...], ...]
+    """Of the links of each stem that move, kg."""
+    fruits: tuple[float, ...]
+    """Mass at the end of each stem in addition, which touches nothing, kg."""
+    stiffness: float
+    """Of a joint, about both axes across the link, N m/rad."""
+    damping: float
+    """N m s/rad."""
+    limit: float
+    """rad."""
+
+
 @dataclass(frozen=True, eq=False)
 class Obstacle:
     """One body of a concrete scene: spheres of one radius and material, held by springs and joined by edges.
@@ -67,6 +91,22 @@ class Obstacle:
     """(K,) true for the spheres that cannot move."""
     edges: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
     """(E, 2) indices of the spheres that each edge joins; none by default."""
+    edge_stiffness: Array = field(default_factory=lambda: np.zeros(0))
+    """(E,) N/m; that of the material by default."""
+    bending: Bending | None = None
+    """How it bends; None for a body whose movable spheres have springs and dampers of their own."""
+
+    def __post_init__(self) -> None:
+        if not len(self.edge_stiffness):
+            object.__setattr__(self, "edge_stiffness", np.full(len(self.edges), self.material.edge_stiffness))
+
+    @property
+    def outline(self) -> Array:
+        """(N, 3) centres of spheres of its radius that fill what of it can be touched, m."""
+        if self.bending is None:
+            return self.rest
+        start, end = np.moveaxis(self.rest[self.edges], 1, 0)[:, :, None]
+        return (start + _ALONG[:, None] * (end - start)).reshape(-1, 3)
 
     @property
     def is_deformable(self) -> bool:
@@ -95,6 +135,14 @@ class ObstacleSettings(Settings, ABC):
     @abstractmethod
     def material(self) -> Material:
         """Material of its spheres and edges."""
+
+    def drawn(self, random: np.random.Generator) -> ObstacleSettings:
+        """These settings with what they leave to the seed."""
+        return self
+
+    def goals(self, center: Array) -> Array:
+        """Positions (G, 3), m, that the scene's target is drawn from where it is not given; most kinds have none."""
+        return np.zeros((0, 3))
 
     @abstractmethod
     def at(self, center: Array) -> tuple[Obstacle, ...]:
@@ -222,10 +270,6 @@ class WallSettings(MeshSettings):
         lower = self._body("the lower wall", self.points(center - offset), np.s_[:, :, 0])
         upper = self._body("the upper wall", self.points(center + offset), np.s_[:, :, -1])
         return lower, upper
-
-
-KINDS: dict[str, type[ObstacleSettings]] = {kind.KIND: kind for kind in (BallSettings, BoxSettings, WallSettings)}
-"""The kinds by the key of their section; a scene lists its obstacles in this order."""
 
 
 def bodies(sections: Sequence[ObstacleSettings], centers: Sequence[Array]) -> tuple[Obstacle, ...]:

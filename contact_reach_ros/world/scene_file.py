@@ -18,7 +18,15 @@ from contact_reach_ros.errors import ContactReachError, InputError, SceneError, 
 from contact_reach_ros.resources import share_directory
 from contact_reach_ros.settings import Problems, Settings, read_yaml, setting, unknown_key
 from contact_reach_ros.world.goal import FREE, HOLD
-from contact_reach_ros.world.obstacle import KINDS, Obstacle, ObstacleSettings, bodies
+from contact_reach_ros.world.obstacle import (
+    BallSettings,
+    BoxSettings,
+    Obstacle,
+    ObstacleSettings,
+    WallSettings,
+    bodies,
+)
+from contact_reach_ros.world.plant import PlantSettings
 from contact_reach_ros.world.rigid import Block, Environment, Plane, RigidBody
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
 
@@ -81,6 +89,10 @@ class TargetSettings(Settings):
         return start
 
 
+KINDS: dict[str, type[ObstacleSettings]] = {
+    kind.KIND: kind for kind in (BallSettings, BoxSettings, WallSettings, PlantSettings)
+}
+"""Kinds of obstacles by the key of their section; a scene lists its obstacles in this order."""
 SECTIONS: dict[str, type[Settings]] = {"target": TargetSettings, "tool": Tool, **KINDS, "mismatch": MismatchSettings}
 """Sections that a scene file may have, besides `BASE`, `OBSTACLES` and `ENVIRONMENT`."""
 OBSTACLES, KIND_KEY = "obstacles", "kind"
@@ -108,6 +120,10 @@ class SceneFile:
     """Rigid bodies: floor, table and the like."""
     tool: Tool = NO_TOOL
     """What an arm without a tool carries in this scene."""
+
+    def equipped(self, arm: Arm) -> Arm:
+        """The arm with the scene's tool, unless it has one of its own."""
+        return arm if arm.bare else arm.with_tool(self.tool)
 
 
 def anywhere(file: SceneFile) -> tuple[Obstacle, ...]:
