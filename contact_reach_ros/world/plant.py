@@ -19,6 +19,8 @@ _FRUIT = "fruit"
 _FRUIT_DISTANCE = 0.045
 """From the end of a stem to the middle of its fruit, m: a gripper closes around the fruit, not around the stem."""
 _MOST_LINKS = 20
+_STIFFEST = 1e4
+"""Stiffness of a stem at the end of its first link that moves, N/m: more is as good as fixed."""
 
 
 class Stem(NamedTuple):
@@ -70,6 +72,12 @@ class PlantSettings(ObstacleSettings):
         if not self.stems:
             raise SettingsError(f"plant: stems = []: expected a list of stems such as '4 45 180 {_FRUIT}'")
         self.parsed()
+        stiffest = self.rigidity / self.link_length**3
+        if stiffest > _STIFFEST:
+            raise SettingsError(
+                f"plant: links of {self.link_length:g} m with a rigidity of {self.rigidity:g} N m² have a stiffness of "
+                f"{stiffest:.0f} N/m; expected at most {_STIFFEST:.0f} N/m: make them longer or softer"
+            )
 
     def parsed(self) -> list[Stem]:
         """The stems; raises `SettingsError` if one is not as described."""
