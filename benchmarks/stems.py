@@ -15,7 +15,6 @@ from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.settings import JointSettings
-from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
@@ -70,8 +69,9 @@ def _push(scene: Scene, random: np.random.Generator) -> tuple[float, float, floa
     plant, body = scene.obstacles[-1], Plant(scene, JointSettings())
     stiffness = stiffness_matrix(obstacle_spheres(scene, rest_positions(scene)))
     first = len(stiffness) - len(plant.rest)
-    stem = random.integers(len(plant.bending.stems)) if plant.bending else 0
-    node = int(random.choice(_nodes(plant, stem)))
+    assert plant.bending is not None
+    stem = plant.bending.stems[int(random.integers(len(plant.bending.stems)))]
+    node = int(random.choice(stem[1:]))
     along = plant.rest[node] - plant.rest[0]
     direction = _across(along / np.linalg.norm(along), random)
     compliance = float(np.linalg.inv(stiffness)[first + node, first + node])
@@ -90,10 +90,6 @@ def push(plant: Plant, site: str, force: Array, steps: int) -> None:
         lever = data.site_xpos[place] - data.xipos[body]
         data.xfrc_applied[body] = [*force, *np.cross(lever, force)]
         plant.step()
-
-
-def _nodes(plant: Obstacle, stem: int) -> tuple[int, ...]:
-    return plant.bending.stems[stem][1:] if plant.bending else ()
 
 
 def _across(along: Array, random: np.random.Generator) -> Array:

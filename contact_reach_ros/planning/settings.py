@@ -22,7 +22,7 @@ class PlanningSettings(Settings):
     """Everything that shapes a plan except the permitted contact force, which belongs to the contact budget."""
 
     horizon: int = setting(3, "H of (4): number of knots in a plan", minimum=1, maximum=10)
-    knot_duration: float = setting(0.1, "time for which one knot is in force", unit="s", minimum=0.02, maximum=0.5)
+    knot_duration: float = setting(0.1, "time for which one knot is in force", unit="s", minimum=0.01, maximum=0.5)
     substeps: int = setting(4, "steps of the transfer model per knot", minimum=1, maximum=20)
     pipeline: str = setting(
         "closed_loop",
