@@ -45,7 +45,7 @@ COSTS: dict[str, dict[str, Any]] = {
 10 is translated so that an arm that is blocked, pressing as hard as γ lets it, pays the same share of what a plan could
 gain: 0.23. A metre at the end of a plan costs as much as one at each of the three knots of the others."""
 DELAYS = (0.0, 0.04, 0.47)
-"""Time from a state to the effect of its plan, s; the next plan begins then, but not within 30 ms."""
+"""Time from a state to the effect of its plan, s; plans begin every 30 ms, or as the last one takes effect."""
 SHIPPED = ("shipped", 0.04, True)
 CROSSED, ALONE = ("slalom", "wall"), ("authors_ball", "ball", "plant")
 _LEAST_DELAY = 0.001
@@ -67,8 +67,9 @@ class Factors(NamedTuple):
         if not self.detours:
             planning = dataclasses.replace(planning, detour_patience=0.0)
         latency = max(self.delay, _LEAST_DELAY)
-        replanning = ReplanningSettings(period=max(self.delay, ReplanningSettings().period), latency=latency)
-        timeout = Setup.timeout * (3 if self.delay > 0.1 else 1)
+        is_slow = self.delay > SHIPPED[1]
+        replanning = ReplanningSettings(period=self.delay if is_slow else ReplanningSettings().period, latency=latency)
+        timeout = Setup.timeout * (3 if is_slow else 1)
         return Setup(planning=planning, replanning=replanning, budget=load_budget(), timeout=timeout)
 
 
