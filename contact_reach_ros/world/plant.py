@@ -159,7 +159,8 @@ def _parsed(text: str) -> Stem:
     words = text.split()
     try:
         links, tilt, turn = int(words[0]), math.radians(float(words[1])), math.radians(float(words[2]))
-        if words[3:] not in ([], [_FRUIT]) or not 2 <= links <= _MOST_LINKS or not 0.0 <= tilt <= math.pi:
+        is_stem = 2 <= links <= _MOST_LINKS and 0.0 <= tilt <= math.pi and math.isfinite(turn)
+        if words[3:] not in ([], [_FRUIT]) or not is_stem:
             raise ValueError
     except (ValueError, IndexError) as error:
         raise SettingsError(

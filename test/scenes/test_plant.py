@@ -89,6 +89,7 @@ def test_markers_have_the_stiffness_of_each_edge_and_bringup_passes_no_other():
     [
         ({"stems": []}, "expected a list of stems such as '4 45 180 fruit'"),
         ({"stems": ["1 20 0 fruit"]}, "stem '1 20 0 fruit': expected 2 to 20 links"),
+        ({"stems": ["4 45 inf"]}, "stem '4 45 inf': expected"),
         ({"stems": ["4 45"]}, "stem '4 45': expected"),
         ({"stems": ["4 45 0 flower"]}, "'fruit' or nothing"),
         ({"stems": ["4 45 0"], "rigidity": 5.0}, "have a stiffness of 40000 N/m; expected at most 10000"),
