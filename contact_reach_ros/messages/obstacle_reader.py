@@ -4,8 +4,9 @@ To make a Python object of each of the hundreds of points in a message takes mil
 
 A ball is a SPHERE, as large as its longest axis. A deformable body is a SPHERE_LIST of the nodes that can move, one of
 those that are fixed, and a LINE_LIST of the edges that join them, told apart by their namespaces and held together by
-one id. Where edges differ in stiffness, their text has the damping of a node, N s/m, and the stiffness of each, N/m. A
-rigid body is a CUBE, in namespace 'plane' with everything behind the face to which its z axis points.
+one id. Where edges differ in stiffness, their text, 'stiffness' and numbers, has the damping of a node, N s/m, and
+the stiffness of each edge, N/m. A rigid body is a CUBE, in namespace 'plane' with everything behind the face to which
+its z axis points.
 """
 
 from __future__ import annotations
@@ -32,6 +33,9 @@ EDGES = "edges"
 REST = "rest"
 PLANE = "plane"
 BLOCK = "block"
+
+STIFFNESS = "stiffness "
+"""Begins the text of edges that differ."""
 
 _ADD = 0
 _CUBE, _SPHERE, _LINE_LIST, _SPHERE_LIST = 1, 2, 5, 7
@@ -161,7 +165,7 @@ class ObstacleMarkerReader:
         nodes = np.concatenate([movable, fixed])
         edges = _joined(number, body[EDGES].points if EDGES in body else np.zeros((0, 3)), nodes)
         damping, edge_stiffness = NODE_DAMPING, np.full(len(edges), self._settings.edge_stiffness)
-        if EDGES in body and body[EDGES].text:
+        if EDGES in body and body[EDGES].text.startswith(STIFFNESS):
             damping, edge_stiffness = _stated(body[EDGES], len(edges))
         counts = [len(movable), len(fixed)]
         radii = [0.5 * max(body[kind].scale) if kind in body else 0.0 for kind in (OBSTACLES, FIXED)]
@@ -199,11 +203,13 @@ def _joined(number: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
 def _stated(marker: _Marker, edges: int) -> tuple[float, Array]:
     """Damping of a node, N s/m, and stiffness of each edge (E,), N/m, in the text of a marker of edges."""
     try:
-        damping, *stiffness = map(float, marker.text.split())
+        damping, *stiffness = map(float, marker.text.removeprefix(STIFFNESS).split())
     except ValueError:
         damping, stiffness = 0.0, []
     if len(stiffness) != edges or not 0.0 < min(damping, *stiffness) <= max(damping, *stiffness) < math.inf:
-        raise _refusal(marker, f"has text '{marker.text[:40]}'; expected none, or {1 + edges} positive numbers")
+        raise _refusal(
+            marker, f"has text '{marker.text[:40]}'; expected {1 + edges} positive numbers after '{STIFFNESS}'"
+        )
     return damping, np.array(stiffness)
 
 
