@@ -126,7 +126,7 @@ class Setup:
         """Options of an episode in which each plan takes `latency`, s."""
         period = latency
         if self.replanning is not None:
-            period = min(latency, ReplanningSettings().period if method in PLANLESS else self.replanning.period)
+            period = (ReplanningSettings() if method in PLANLESS else self.replanning).period
         return EpisodeOptions(
             period=period,
             latency=latency,

@@ -11,7 +11,6 @@ its z axis points.
 
 from __future__ import annotations
 
-import math
 import struct
 from typing import NamedTuple
 
@@ -203,14 +202,14 @@ def _joined(number: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
 def _stated(marker: _Marker, edges: int) -> tuple[float, Array]:
     """Damping of a node, N s/m, and stiffness of each edge (E,), N/m, in the text of a marker of edges."""
     try:
-        damping, *stiffness = map(float, marker.text.removeprefix(STIFFNESS).split())
+        numbers = np.array(marker.text.removeprefix(STIFFNESS).split(), float)
     except ValueError:
-        damping, stiffness = 0.0, []
-    if len(stiffness) != edges or not 0.0 < min(damping, *stiffness) <= max(damping, *stiffness) < math.inf:
+        numbers = np.zeros(0)
+    if len(numbers) != 1 + edges or not ((numbers > 0.0) & np.isfinite(numbers)).all():
         raise _refusal(
             marker, f"has text '{marker.text[:40]}'; expected {1 + edges} positive numbers after '{STIFFNESS}'"
         )
-    return damping, np.array(stiffness)
+    return float(numbers[0]), numbers[1:]
 
 
 def _refusal(marker: _Marker, why: str) -> InputError:
