@@ -26,9 +26,9 @@ from contact_reach_ros.world.obstacle import (
     WallSettings,
     bodies,
 )
-from contact_reach_ros.world.plant import PlantSettings
 from contact_reach_ros.world.rigid import Block, Environment, Plane, RigidBody
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
+from contact_reach_ros.world.stems import StemsSettings
 
 _MOST_SPHERES, _MOST_FREE = 450, 200
 """Greatest numbers of a scene's spheres, and of those that can move; with more, the simulation would not keep its step
@@ -90,7 +90,7 @@ class TargetSettings(Settings):
 
 
 KINDS: dict[str, type[ObstacleSettings]] = {
-    kind.KIND: kind for kind in (BallSettings, BoxSettings, WallSettings, PlantSettings)
+    kind.KIND: kind for kind in (BallSettings, BoxSettings, WallSettings, StemsSettings)
 }
 """Kinds of obstacles by the key of their section; a scene lists its obstacles in this order."""
 SECTIONS: dict[str, type[Settings]] = {"target": TargetSettings, "tool": Tool, **KINDS, "mismatch": MismatchSettings}

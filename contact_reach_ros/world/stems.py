@@ -33,7 +33,7 @@ class Stem(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PlantSettings(ObstacleSettings):
+class StemsSettings(ObstacleSettings):
     """A plant: stems of straight links from one root, of which the lowest are fixed.
 
     A stem bends at the joints between its links as a beam of this flexural rigidity does. A leaf is one more link; a
@@ -83,7 +83,7 @@ class PlantSettings(ObstacleSettings):
         """The stems; raises `SettingsError` if one is not as described."""
         return [_parsed(text) for text in self.stems]
 
-    def drawn(self, random: np.random.Generator) -> PlantSettings:
+    def drawn(self, random: np.random.Generator) -> StemsSettings:
         """The plant turned about the vertical."""
         if not self.turn:
             return self
