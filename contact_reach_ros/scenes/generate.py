@@ -19,7 +19,7 @@ from contact_reach_ros.errors import ContactReachError, InputError, SceneError, 
 from contact_reach_ros.scenes.fitting import fitted
 from contact_reach_ros.scenes.placing import free_path, on_hand, on_middle, place
 from contact_reach_ros.world.collision import check_goal, check_hand, nearest, overlap_depths
-from contact_reach_ros.world.goal import FREE, Goal
+from contact_reach_ros.world.goal import FREE, Goal, Target
 from contact_reach_ros.world.obstacle import MeshSettings, Obstacle, WallSettings, bodies
 from contact_reach_ros.world.scene import MismatchSettings, Scene
 from contact_reach_ros.world.scene_file import SceneFile, read_scene
@@ -278,8 +278,8 @@ def _rigid_conflict(scene: Scene) -> str:
     if not np.isfinite(scene.target).all():
         return ""
     try:
-        target = scene.goal.resolve(arm, link_frames(arm, scene.start)[0][-1])
-        check_hand(arm, target, scene.environment)
+        rotation = None if scene.orientation == FREE else link_frames(arm, scene.start)[0][-1]
+        check_hand(arm, Target(scene.target, rotation).of_task(arm.task), scene.environment)
     except InputError as error:
         return str(error)
     return ""

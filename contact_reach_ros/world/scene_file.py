@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -231,9 +230,7 @@ def _section(file: Path, key: str, values: Any, base: Any) -> Any:
         raise SettingsError(f"{where} = {values!r}; expected a mapping of keys to values")
     if key == ENVIRONMENT:
         return {**(base or {}), **_read_environment(values, where)}
-    given = SECTIONS[key].from_mapping(values, where)
-    changes = {name: getattr(given, name) for name in values}
-    return given if base is None else dataclasses.replace(base, **changes)
+    return SECTIONS[key].from_mapping({**({} if base is None else vars(base)), **values}, where)
 
 
 def _read_base(file: Path, base: Any, above: Sequence[Path]) -> dict[str, Any]:

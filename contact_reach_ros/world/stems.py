@@ -54,7 +54,7 @@ class StemsSettings(ObstacleSettings):
     radius: float = setting(0.005, "radius of a stem", unit="m", minimum=0.002, maximum=0.05)
     link_length: float = setting(0.05, "length of a link", unit="m", minimum=0.02, maximum=0.3)
     link_mass: float = setting(0.004, "mass of a link", unit="kg", minimum=0.001, maximum=1.0)
-    leaf_length: float = setting(0.07, "length of a leaf", unit="m", minimum=0.02, maximum=0.3)
+    leaf_length: float = setting(0.095, "length of a leaf", unit="m", minimum=0.02, maximum=0.3)
     leaf_mass: float = setting(0.005, "mass of a leaf", unit="kg", minimum=0.001, maximum=1.0)
     fruit_mass: float = setting(0.02, "mass of a fruit", unit="kg", minimum=0.001, maximum=1.0)
     rigidity: float = setting(0.15, "flexural rigidity of a stem", unit="N m²", minimum=0.001, maximum=5.0)

@@ -100,6 +100,12 @@ def test_stems_that_cannot_be_are_refused(change, message):
         dataclasses.replace(PLANT.obstacles[0], **change)
 
 
+def test_a_scene_changes_the_plant_of_its_base_key_by_key(tmp_path):
+    file = tmp_path / "soft.yaml"
+    file.write_text("base: plant\nplant: {rigidity: 0.01}\n")
+    assert read_scene(str(file)).obstacles == (dataclasses.replace(PLANT.obstacles[0], rigidity=0.01),)
+
+
 def test_goals_in_a_stem_and_fruits_out_of_reach_are_refused_with_the_numbers():
     between = STEMS.rest[list(STEMS.bending.stems[5][1:3])].mean(axis=0)
     with pytest.raises(SceneError, match=r"target .* lies \d\.\d mm inside the plant"):

@@ -56,8 +56,8 @@ REFUSED = [
     ("environment: {table: {center: [a, 0, 0], size: [1, 1, 1]}}", "environment: table: expected three numbers"),
     ("environment: {floor: 0.1}", r"environment: floor = 0\.1"),
     ("", "holds NoneType"),
-    ("base: missing.yaml", "base = 'missing.yaml': .*expected .*one of ball, ball_mismatch"),
-    ("base: 7", "base = 7 .*expected one of ball, ball_mismatch"),
+    ("base: missing.yaml", "base = 'missing.yaml': .*expected .*one of authors_ball, .*, ball, ball_mismatch"),
+    ("base: 7", "base = 7 .*expected one of authors_ball, .*, ball, ball_mismatch"),
     # What the simulation could not keep up with.
     ("base: wall\nwall: {nodes: [4, 21, 5], node_radius: 0.01}", "840 spheres and nodes, 672 of which can move"),
     ("ball: {mass: 0.001, stiffness: 2500.0}", "ball: .* of 3500 N/m in all .* stable up to 2000 N/m"),
