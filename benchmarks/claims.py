@@ -162,7 +162,7 @@ def _demands(results: Results, scene: str, goal: str) -> Iterator[Demand]:
             f"{scene}: peak force of reference posture, less {factor:g} times the method's", "N", peaks, 0.0, True
         )
         published = paper.TABLE_1[scene, paper.METHOD].force
-        text = f"{scene}: peak force of the paper (its foam is not published)"
+        text = f"{scene}: peak force of the paper (on another scale)"
         yield Demand(text, "N", figure("max_contact_force"), published, False)
     if scene in paper.COLLISION_FREE_TIME_RATIO:
         factor = paper.COLLISION_FREE_TIME_RATIO[scene]

@@ -107,8 +107,7 @@ class Setup:
 
         Raises `SettingsError` if there is no preset of this name, or the arm cannot hold the task.
 
-        A deadline on the wall clock, which would make results depend on the machine, is `DEADLINE_STEPS`. Plans of
-        0.47 s, as the paper's are, make the arm slow: it has three times as long.
+        A deadline on the wall clock, which would make results depend on the machine, is `DEADLINE_STEPS`.
         """
         found = preset(name, load_arm(arm))
         impedance = dataclasses.replace(found.controller.impedance, task=task).resolve(load_arm(arm))
@@ -116,8 +115,7 @@ class Setup:
         if found.planning.deadline:
             planning = dataclasses.replace(found.planning, deadline=0.0, max_steps=DEADLINE_STEPS)
             found = found._replace(planning=planning)
-        timeout = cls.timeout * (3 if found.replanning.latency > 0.1 else 1)
-        return cls(arm=arm, preset=name, budget=budget, **{"timeout": timeout, **found._asdict(), **changes})
+        return cls(arm=arm, preset=name, budget=budget, **{**found._asdict(), **changes})
 
     def latency(self, method: str) -> float:
         """Time from a state to the effect of its plan, s; one that plans nothing in between answers at once."""
@@ -128,7 +126,7 @@ class Setup:
         """Options of an episode in which each plan takes `latency`, s."""
         period = latency
         if self.replanning is not None:
-            period = min(latency, ReplanningSettings().period if method in PLANLESS else self.replanning.period)
+            period = (ReplanningSettings() if method in PLANLESS else self.replanning).period
         return EpisodeOptions(
             period=period,
             latency=latency,
@@ -169,7 +167,7 @@ def run_cell(task: EpisodeTask) -> Record:
         solver_seed, noise_seed = episode_seeds(task.cell.target, task.cell.repeat)
         method.reseed(solver_seed)
         options = task.setup.options(task.cell.method, task.cell.goal, task.latency, noise_seed)
-        momentum = identified(arm, of_arm(scene.mismatch))
+        momentum = identified(scene.arm, of_arm(scene.mismatch))
         options = dataclasses.replace(options, observer=ObserverSettings(momentum=momentum))
         wall, cpu = time.perf_counter(), time.process_time()
         result = run_episode(scene, method, options)
@@ -209,7 +207,7 @@ def concrete_scene(file: SceneFile, arm: Arm, target: int) -> Scene:
 def prepared(method: str, file: SceneFile, setup: Setup) -> Method:
     """A method that is ready to plan, cached for the next episode in this process."""
     return _prepared(
-        load_arm(setup.arm),
+        file.equipped(load_arm(setup.arm)),
         method,
         sphere_capacity(file) if setup.capacity is None else setup.capacity,
         setup.budget.permitted_force,

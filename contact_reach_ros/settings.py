@@ -209,7 +209,10 @@ class Settings:
                     if key not in known:
                         raise SettingsError(unknown_key(str(key), known, source))
                     known[key].check(value, f"{source}: {key}")
-        return cls(**mapping)
+        try:
+            return cls(**mapping)
+        except SettingsError as error:
+            raise SettingsError(f"{source}: {error}") from error
 
 
 Sections = Mapping[str, type[Settings]]

@@ -105,13 +105,13 @@ def test_shipped_is_what_the_nodes_run():
 
 
 @pytest.mark.parametrize("name", PAPER)
-def test_the_papers_presets_have_its_solver_latch_and_time_of_a_plan(name):
+def test_the_papers_presets_have_its_solver_and_latch_and_the_delay_of_the_nodes(name):
     found = preset(name)
     planning = found.planning
     assert planning.sampling == "paper"
     assert (planning.population, planning.elite, planning.max_steps) == (200, 50, 100)
     assert planning.deadline == planning.null_motion_weight == planning.lead_change_weight == 0.0
-    assert found.replanning.period == found.replanning.latency == 0.47
+    assert found.replanning == preset("shipped").replanning
     assert found.controller.impedance.reference_ramp == 0.0
     assert found.unexpected_contact.reaction == "ignore"
 
@@ -134,7 +134,7 @@ def test_the_readings_differ_in_nothing_else():
 
 def test_a_stack_takes_a_preset():
     stack = cr.Stack(cr.load_scene("free", arm=ARM), **preset("paper_hinge")._asdict())
-    assert stack.planner.settings.latency == 0.47
+    assert stack.planner.settings.latency == 0.04
 
 
 def test_an_unknown_preset_is_refused_with_those_there_are():

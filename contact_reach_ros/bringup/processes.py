@@ -10,7 +10,8 @@ from pathlib import Path
 import yaml
 
 from contact_reach_ros.arm import Arm
-from contact_reach_ros.arms import arm_in, known_parameters, load_arm, make_settings
+from contact_reach_ros.arm.tool import NO_TOOL, Tool
+from contact_reach_ros.arms import TOOL, TOOL_PARAMETERS, arm_in, known_parameters, load_arm, make_settings
 from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import budget_file
@@ -18,13 +19,14 @@ from contact_reach_ros.presets import SECTIONS, check_parameters
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, VIEWER
 from contact_reach_ros.ros.parameters import namespace_in
 from contact_reach_ros.ros.process import described
-from contact_reach_ros.settings import RATE, ROBOT, check_values, parameters_in, parse_yaml
+from contact_reach_ros.settings import RATE, ROBOT, check_values, full_name, parameters_in, parse_yaml
 from contact_reach_ros.simulation.settings import DriverSettings
 from contact_reach_ros.viewer.settings import VIEWER_SECTIONS, ViewerSettings
+from contact_reach_ros.world.goal import FREE, HOLD
 from contact_reach_ros.world.scene_file import SceneFile, anywhere, read_scene, scene_file
 from contact_reach_ros.world.spheres import sphere_capacity
 
-ParameterValue = bool | int | float | str | list[str]
+ParameterValue = bool | int | float | str | list[str] | list[float]
 
 ENCLAVES = "/contact_reach"
 _TUNABLE = ("planner", "controller", "observer", "driver")
@@ -93,7 +95,8 @@ def processes(options: BringupOptions, namespace: str = "/") -> list[Process]:
     scene = read_scene(options.scene)
     arm: dict[str, ParameterValue] = {ROBOT.name: options.robot} if options.robot else {}
     rate: dict[str, ParameterValue] = {RATE.name: options.state_rate} if options.state_rate else {}
-    time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep, **rate, **arm}
+    tool = scene_tool(options, scene, namespace)
+    time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep, **rate, **arm, **tool}
     changed = _overrides(options.overrides, stack_arm(options, namespace))
     table = []
     adapted = options.adapter != "none"
@@ -118,7 +121,7 @@ def processes(options: BringupOptions, namespace: str = "/") -> list[Process]:
     # The planner plans for the controller's gains.
     gains = {f"controller:{name}": value for name, value in changed["controller"].items()}
     # Of what stands around a real robot the simulated scene knows nothing.
-    obstacles = _obstacles(scene, options.parameter_file, namespace) if options.driver else {}
+    obstacles = _of_scene(scene, options.parameter_file, namespace) if options.driver else {}
     # With a deadline on the wall's clock plans would depend on how busy the machine is.
     unhurried = {"planning.deadline": 0.0} if options.lockstep else {}
     planning = {**time, **obstacles, **gains, **unhurried, **changed["planner"]}
@@ -173,14 +176,26 @@ def _origin(options: BringupOptions, changed: Mapping[str, ParameterValue], spac
     }
 
 
-def _obstacles(scene: SceneFile, parameter_file: Path, namespace: str) -> dict[str, ParameterValue]:
-    """Parameters of the planner that describe the obstacles of a scene, except those that the parameter file has.
+def scene_tool(options: BringupOptions, scene: SceneFile, namespace: str = "/") -> dict[str, ParameterValue]:
+    """Parameters of every node for what the simulated arm carries in a scene; none where the file has a tool."""
+    own = parameters_in(options.parameter_file, "planner", namespace)
+    if not options.driver or any(name in own for name in TOOL_PARAMETERS):
+        return {}
+    values = {entry.name: getattr(scene.tool, entry.name) for entry in Tool.declared()}
+    given = {name: value for name, value in values.items() if value != getattr(NO_TOOL, name)}
+    return {full_name(TOOL, name): list(value) if isinstance(value, tuple) else value for name, value in given.items()}
+
+
+def _of_scene(scene: SceneFile, parameter_file: Path, namespace: str) -> dict[str, ParameterValue]:
+    """Parameters of the planner that describe the obstacles of a scene, and its goal, except those of the file.
 
     The planner has one stiffness for all balls and one for all meshes: the largest, where they differ.
     """
     values: dict[str, float] = {}
     for obstacle in anywhere(scene):
         material = obstacle.material
+        if obstacle.bending is not None:
+            continue  # Its markers have the stiffness of each edge.
         if obstacle.is_deformable:
             name, value = "edge_stiffness", material.edge_stiffness
         else:
@@ -188,4 +203,7 @@ def _obstacles(scene: SceneFile, parameter_file: Path, namespace: str) -> dict[s
         values[name] = max(value, values.get(name, 0.0))
     capacity: dict[str, ParameterValue] = {"max_spheres": sphere_capacity(scene)}
     chosen = parameters_in(parameter_file, "planner", namespace)
-    return {name: value for name, value in {**capacity, **values}.items() if name not in chosen}
+    goal: dict[str, ParameterValue] = {}
+    if scene.target.orientation == FREE and chosen.get("goal_orientation", HOLD) == HOLD:
+        goal["goal_orientation"] = FREE
+    return goal | {name: value for name, value in {**capacity, **values}.items() if name not in chosen}

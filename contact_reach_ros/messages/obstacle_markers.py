@@ -10,7 +10,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from contact_reach_ros.arm import Array
 from contact_reach_ros.messages.cdr import HEADER
 from contact_reach_ros.messages.conversions import to_marker, to_point, to_time
-from contact_reach_ros.messages.obstacle_reader import BLOCK, EDGES, FIXED, OBSTACLES, PLANE, REST
+from contact_reach_ros.messages.obstacle_reader import BLOCK, EDGES, FIXED, OBSTACLES, PLANE, REST, STIFFNESS
 from contact_reach_ros.messages.serialized import encode
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.obstacle import Obstacle
@@ -82,6 +82,9 @@ def _markers_of(obstacle: Obstacle, number: int, places: Array) -> list[Marker]:
         marker.points = [to_point(point) for point in points.tolist()]
         if is_ball:
             (marker.pose.position,), marker.points = marker.points, []
+        if namespace == EDGES and np.ptp(obstacle.edge_stiffness):
+            numbers = [obstacle.material.damping, *obstacle.edge_stiffness]
+            marker.text = STIFFNESS + " ".join(f"{number:.6g}" for number in numbers)
         markers.append(marker)
     return markers
 

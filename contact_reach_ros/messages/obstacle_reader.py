@@ -4,7 +4,9 @@ To make a Python object of each of the hundreds of points in a message takes mil
 
 A ball is a SPHERE, as large as its longest axis. A deformable body is a SPHERE_LIST of the nodes that can move, one of
 those that are fixed, and a LINE_LIST of the edges that join them, told apart by their namespaces and held together by
-one id. A rigid body is a CUBE, in namespace 'plane' with everything behind the face to which its z axis points.
+one id. Where edges differ in stiffness, their text, 'stiffness' and numbers, has the damping of a node, N s/m, and
+the stiffness of each edge, N/m. A rigid body is a CUBE, in namespace 'plane' with everything behind the face to which
+its z axis points.
 """
 
 from __future__ import annotations
@@ -30,6 +32,9 @@ EDGES = "edges"
 REST = "rest"
 PLANE = "plane"
 BLOCK = "block"
+
+STIFFNESS = "stiffness "
+"""Begins the text of edges that differ."""
 
 _ADD = 0
 _CUBE, _SPHERE, _LINE_LIST, _SPHERE_LIST = 1, 2, 5, 7
@@ -158,6 +163,9 @@ class ObstacleMarkerReader:
         stiffness = self._settings.sphere_stiffness if is_ball else 0.0
         nodes = np.concatenate([movable, fixed])
         edges = _joined(number, body[EDGES].points if EDGES in body else np.zeros((0, 3)), nodes)
+        damping, edge_stiffness = NODE_DAMPING, np.full(len(edges), self._settings.edge_stiffness)
+        if EDGES in body and body[EDGES].text.startswith(STIFFNESS):
+            damping, edge_stiffness = _stated(body[EDGES], len(edges))
         counts = [len(movable), len(fixed)]
         radii = [0.5 * max(body[kind].scale) if kind in body else 0.0 for kind in (OBSTACLES, FIXED)]
         return {
@@ -165,9 +173,9 @@ class ObstacleMarkerReader:
             "rest": np.concatenate([rest, fixed]),
             "radius": np.repeat(radii, counts),
             "stiffness": np.repeat([stiffness, FIXED_STIFFNESS], counts),
-            "damping": np.full(len(nodes), SPHERE_DAMPING if is_ball else NODE_DAMPING),
+            "damping": np.full(len(nodes), SPHERE_DAMPING if is_ball else damping),
             "edges": edges + first,
-            "edge_stiffness": np.full(len(edges), self._settings.edge_stiffness),
+            "edge_stiffness": edge_stiffness,
         }
 
 
@@ -189,6 +197,19 @@ def _joined(number: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
             f"where no node is; expected a point of {OBSTACLES}/{number} or {FIXED}/{number}"
         )
     return nearest.reshape(-1, 2).astype(np.intp)
+
+
+def _stated(marker: _Marker, edges: int) -> tuple[float, Array]:
+    """Damping of a node, N s/m, and stiffness of each edge (E,), N/m, in the text of a marker of edges."""
+    try:
+        numbers = np.array(marker.text.removeprefix(STIFFNESS).split(), float)
+    except ValueError:
+        numbers = np.zeros(0)
+    if len(numbers) != 1 + edges or not ((numbers > 0.0) & np.isfinite(numbers)).all():
+        raise _refusal(
+            marker, f"has text '{marker.text[:40]}'; expected {1 + edges} positive numbers after '{STIFFNESS}'"
+        )
+    return float(numbers[0]), numbers[1:]
 
 
 def _refusal(marker: _Marker, why: str) -> InputError:

@@ -80,7 +80,8 @@ class Detour(NamedTuple):
         """Weights of terms for the next plan, by their names."""
         if not self.is_on:
             return {"detour": 0.0}
-        return {"goal": 0.0, "progress": 0.0, "orientation": 0.0, "contact": _ROOM * settings.contact_weight}
+        off = dict.fromkeys(("goal", "progress", "terminal", "orientation"), 0.0)
+        return off | {"contact": _ROOM * settings.contact_weight}
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ class PlanningSettings(Settings):
     """Everything that shapes a plan except the permitted contact force, which belongs to the contact budget."""
 
     horizon: int = setting(3, "H of (4): number of knots in a plan", minimum=1, maximum=10)
-    knot_duration: float = setting(0.1, "time for which one knot is in force", unit="s", minimum=0.02, maximum=0.5)
+    knot_duration: float = setting(0.1, "time for which one knot is in force", unit="s", minimum=0.01, maximum=0.5)
     substeps: int = setting(4, "steps of the transfer model per knot", minimum=1, maximum=20)
     pipeline: str = setting(
         "closed_loop",
@@ -33,11 +33,21 @@ class PlanningSettings(Settings):
     progress_weight: float = setting(
         0.2, "λ2 of (5): distance from the start of the plan", unit="1/m", minimum=0.0, maximum=100.0
     )
+    terminal_weight: float = setting(
+        0.0,
+        "distance to the goal at the end of the plan alone, as in the authors' code",
+        unit="1/m",
+        minimum=0.0,
+        maximum=1000.0,
+    )
     contact_limit_weight: float = setting(
         5.0, "λ3 of (5): contact force above the permitted one", unit="1/N", minimum=0.0, maximum=100.0
     )
     contact_weight: float = setting(
         0.01, "any contact force, so that permitted ones stay low", unit="1/N", minimum=0.0, maximum=100.0
+    )
+    contact_squared_weight: float = setting(
+        0.0, "squared contact forces of all links, as in the authors' code", unit="1/N²", minimum=0.0, maximum=100.0
     )
     contact_patience: float = setting(
         0.5,

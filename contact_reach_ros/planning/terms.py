@@ -214,6 +214,12 @@ def progress(context: Context) -> jax.Array:
     return -_length(context.position[:, 1:] - context.position[:, :1])
 
 
+@term("terminal_weight")
+def terminal(context: Context) -> jax.Array:
+    """Distance of the flange from the goal at the end of the plan, m."""
+    return _length(context.position[:, -1] - context.goal_position[:, -1])
+
+
 @term("contact_limit_weight")
 def contact_limit(context: Context) -> jax.Array:
     """Contact force above the permitted one, N."""
@@ -224,6 +230,13 @@ def contact_limit(context: Context) -> jax.Array:
 def contact(context: Context) -> jax.Array:
     """Contact force, N."""
     return context.rollout.contact
+
+
+@term("contact_squared_weight")
+def contact_squared(context: Context) -> jax.Array:
+    """Squared contact forces of all links, N²."""
+    force = jnp.moveaxis(context.rollout.link_force, 1, 0)
+    return sum_over(force * force, 0)
 
 
 @term("orientation_weight")

@@ -19,7 +19,7 @@ from contact_reach_ros.errors import ContactReachError, InputError, SceneError, 
 from contact_reach_ros.scenes.fitting import fitted
 from contact_reach_ros.scenes.placing import free_path, on_hand, on_middle, place
 from contact_reach_ros.world.collision import check_goal, check_hand, nearest, overlap_depths
-from contact_reach_ros.world.goal import Goal, Target
+from contact_reach_ros.world.goal import FREE, Goal, Target
 from contact_reach_ros.world.obstacle import MeshSettings, Obstacle, WallSettings, bodies
 from contact_reach_ros.world.scene import MismatchSettings, Scene
 from contact_reach_ros.world.scene_file import SceneFile, read_scene
@@ -97,6 +97,7 @@ def make_scene(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None = 
         If the start is not within the limits of the arm's joints, or the arm has no such inertia set.
     """
     _warn_of_openings(file, arm)
+    arm = file.equipped(arm)
     own, frame = standing(arm) if file.target.reach else arm, scene_frame(arm)
     try:
         made = fitted(file, arm)
@@ -136,10 +137,14 @@ def _moved(scene: Scene, arm: Arm, frame: SceneFrame) -> Scene:
 
 def _drawn(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None) -> Scene:
     arm.inertias(file.mismatch.inertia_set)
-    start = file.target.start_of(arm)
+    start, random = file.target.start_of(arm), np.random.default_rng(seed)
+    file = dataclasses.replace(file, obstacles=tuple(section.drawn(random) for section in file.obstacles))
     _check_placed(file, arm, start)
-    random = np.random.default_rng(seed)
     given = file.target.position if target is None else target
+    placed = [section for section in file.obstacles if section.center is not None]
+    goals = np.concatenate([np.zeros((0, 3)), *(section.goals(np.array(section.center)) for section in placed)])
+    if given is None and len(goals):
+        given = random.choice(goals)
     tries = _TARGET_TRIES
     if any(isinstance(section, WallSettings) for section in file.obstacles):
         tries = min(tries, _TARGET_TRIES_WITH_WALLS)
@@ -155,7 +160,7 @@ def _drawn(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None) -> Sc
             centers.append(center)
         else:
             obstacles = bodies(file.obstacles, centers)
-            scene = Scene(file.name, arm, seed, start, wanted, obstacles, environment=file.environment)
+            scene = _scene(file, arm, seed, start, wanted, obstacles)
             reason = conflict(scene)
             if not reason:
                 return scene
@@ -182,8 +187,13 @@ def _check_placed(file: SceneFile, arm: Arm, start: Array) -> None:
     # Without a target of its own, the scene is checked only at the start.
     target = np.full(3, np.nan) if file.target.position is None else np.array(file.target.position)
     obstacles = bodies(placed, [np.array(section.center) for section in placed])
-    if reason := conflict(Scene(file.name, arm, 0, start, target, obstacles, environment=file.environment)):
+    if reason := conflict(_scene(file, arm, 0, start, target, obstacles)):
         raise SceneError(reason)
+
+
+def _scene(file: SceneFile, arm: Arm, seed: int, start: Array, target: Array, obstacles: tuple[Obstacle, ...]) -> Scene:
+    orientation, environment = file.target.orientation, file.environment
+    return Scene(file.name, arm, seed, start, target, obstacles, environment=environment, orientation=orientation)
 
 
 def _targets(
@@ -214,7 +224,7 @@ def _targets(
             else:
                 yield drawn, path
         return
-    goal = Goal(given).resolve(model.arm, rotation)
+    goal = Goal(given, file.target.orientation).resolve(model.arm, rotation)
     check_goal(model.arm, goal, file.environment, start)
     placed = " and ".join(section.KIND for section in file.obstacles if section.center is None)
     try:
@@ -268,8 +278,8 @@ def _rigid_conflict(scene: Scene) -> str:
     if not np.isfinite(scene.target).all():
         return ""
     try:
-        target = Target(scene.target, link_frames(arm, scene.start)[0][-1])
-        check_hand(arm, target.of_task(arm.task), scene.environment)
+        rotation = None if scene.orientation == FREE else link_frames(arm, scene.start)[0][-1]
+        check_hand(arm, Target(scene.target, rotation).of_task(arm.task), scene.environment)
     except InputError as error:
         return str(error)
     return ""
@@ -279,30 +289,35 @@ def _conflict_with(obstacle: Obstacle, scene: Scene) -> str:
     """How an obstacle lies in the arm or base at the start, or where the flange is to go; empty if it does not."""
     arm, radius, remedy = scene.arm, obstacle.radius, f"move {obstacle.kind}.center, or change"
     starts, ends = (points[0] for points in shape_segments(arm, scene.start[None]))
-    depths = overlap_depths(arm, starts, ends, obstacle.rest, radius)
+    outline = obstacle.outline
+    depths = overlap_depths(arm, starts, ends, outline, radius)
     shape, index = np.unravel_index(depths.argmax(), depths.shape)
     if depths[shape, index] > _TOLERANCE:
         return (
             f"at the start {shape_name(arm, int(shape))} lies {1000 * depths[shape, index]:.1f} mm deep in "
-            f"{_sphere(obstacle, int(index))}; {remedy} target.start"
+            f"{_sphere(obstacle, outline[index])}; {remedy} target.start"
         )
     name = f"target {np.round(scene.target, 3).tolist()} m"
-    inside = radius - np.linalg.norm(obstacle.rest - scene.target, axis=1)
+    inside = radius - np.linalg.norm(outline - scene.target, axis=1)
     index = inside.argmax()
     if inside[index] > _TOLERANCE:
-        return f"{name} lies {1000 * inside[index]:.1f} mm inside {_sphere(obstacle, int(index))}; {remedy} the target"
+        return (
+            f"{name} lies {1000 * inside[index]:.1f} mm inside {_sphere(obstacle, outline[index])}; {remedy} the target"
+        )
+    if scene.orientation == FREE:
+        return ""
     shift = scene.target - link_frames(arm, scene.start)[1][-1]
     moved = overlap_depths(arm, starts[moving(arm)] + shift, ends[moving(arm)] + shift, obstacle.rest, radius)
     in_hand: Array = np.where(obstacle.fixed, moved[on_hand(arm)].max(axis=0, initial=-np.inf), -np.inf)
     index = in_hand.argmax()
     if in_hand[index] > _TOLERANCE:
         return (
-            f"{name}: there the hand lies {1000 * in_hand[index]:.1f} mm deep in {_sphere(obstacle, int(index))}, "
-            f"which is fixed; {remedy} the target"
+            f"{name}: there the hand lies {1000 * in_hand[index]:.1f} mm deep in "
+            f"{_sphere(obstacle, obstacle.rest[index])}, which is fixed; {remedy} the target"
         )
     return ""
 
 
-def _sphere(obstacle: Obstacle, index: int) -> str:
-    """Describe one sphere in words."""
-    return f"{obstacle.name} (at {np.round(obstacle.rest[index], 3).tolist()} m, radius {obstacle.radius:g} m)"
+def _sphere(obstacle: Obstacle, place: Array) -> str:
+    """Describe the sphere at a place (3,), m, in words."""
+    return f"{obstacle.name} (at {np.round(place, 3).tolist()} m, radius {obstacle.radius:g} m)"

@@ -41,6 +41,8 @@ def obstacle_bodies(obstacle: Obstacle, index: int, scale: float) -> list[Elemen
 
     Movable ones are on three sprung sliders. All stiffnesses are multiplied by `scale`.
     """
+    if obstacle.bending is not None:
+        return _stems(obstacle, index, scale)
     material = obstacle.material
     bodies = []
     for number, (position, fixed) in enumerate(zip(obstacle.rest, obstacle.fixed, strict=True)):
@@ -53,6 +55,51 @@ def obstacle_bodies(obstacle: Obstacle, index: int, scale: float) -> list[Elemen
         body.append(_sphere(name, obstacle.radius, material.mass, material.friction, contact))
         bodies.append(body)
     return bodies
+
+
+def _stems(obstacle: Obstacle, index: int, scale: float) -> list[Element]:
+    """The stems of a plant: chains of capsules on hinges, the first link of each fixed, with a site at each sphere."""
+    bending, material, radius = obstacle.bending, obstacle.material, obstacle.radius
+    assert bending is not None
+    rigid, bodies = _contact(scale * material.contact_stiffness, _FIXED_MASS), []
+    bend = {
+        "stiffness": repr(scale * bending.stiffness),
+        "damping": repr(scale * bending.damping),
+        "limited": "true",
+        "range": numbers((-bending.limit, bending.limit)),
+    }
+    for stem, masses, fruit in zip(bending.stems, bending.masses, bending.fruits, strict=True):
+        root, first = obstacle.rest[list(stem[:2])]
+        joints = np.array([0.5 * (root + first), *obstacle.rest[list(stem[1:-1])]])
+        name = f"{obstacle.kind}_{index}_{stem[1]}_root"
+        parent = Element("body", name=name, pos=numbers(root))
+        parent.append(_capsule(name, joints[0] - root, radius, 0.0, material.friction, rigid))
+        bodies.append(parent)
+        # Any two axes across the stem.
+        across = np.linalg.svd((first - root)[None])[2][1:]
+        for node, begin, at, mass in zip(stem[1:], np.vstack([root, joints]), joints, masses, strict=False):
+            name, end = f"{obstacle.kind}_{index}_{node}", obstacle.rest[node] - at
+            body = SubElement(parent, "body", name=name, pos=numbers(at - begin), gravcomp="1")
+            for axis in across:
+                SubElement(body, "joint", {"type": "hinge", "axis": numbers(axis), **bend})
+            contact = _contact(scale * material.contact_stiffness, mass)
+            body.append(_capsule(name, end, radius, mass, material.friction, contact))
+            SubElement(body, "site", name=name, pos=numbers(end))
+            parent = body
+        if fruit:
+            geom = {"type": "sphere", "size": "0.015", "contype": "0", "conaffinity": "0"}
+            SubElement(parent, "geom", {**geom, "pos": numbers(end), "mass": repr(fruit)})
+    return bodies
+
+
+def _capsule(
+    name: str, end: Array, radius: float, mass: float, friction: float, contact: tuple[float, float]
+) -> Element:
+    """A capsule from the origin of its body to `end` (3,), m."""
+    geom = _sphere(name, radius, mass, friction, contact)
+    geom.set("type", "capsule")
+    geom.set("fromto", numbers((0.0, 0.0, 0.0, *end)))
+    return geom
 
 
 def unknown_sphere(radius: float, stiffness: float) -> Element:
@@ -70,8 +117,8 @@ def soften_fixed(model: mujoco.MjModel) -> None:
     """
     for geom in np.flatnonzero(model.geom_contype == OBSTACLE_CONTACT_TYPE):
         body = model.geom_bodyid[geom]
-        is_sphere = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE
-        if is_sphere and not model.body_dofnum[body]:
+        is_soft = model.geom_type[geom] in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE)
+        if is_soft and not model.body_dofnum[body]:
             model.body_invweight0[body, 0] = 1.0 / _FIXED_MASS
 
 

@@ -85,7 +85,8 @@ class Plant:
         self.arm = scene.arm
         mismatch = scene.mismatch
         bodies = []
-        for index, obstacle in enumerate(scene.true_obstacles):
+        # What bends comes last: the movable spheres of all others are neighbours in MuJoCo's arrays.
+        for index, obstacle in sorted(enumerate(scene.true_obstacles), key=lambda each: each[1].bending is not None):
             bodies += obstacle_bodies(obstacle, index, scene.foam_scale)
         if unknown is not None:
             bodies.append(unknown_sphere(*unknown))
@@ -120,10 +121,13 @@ class Plant:
         self._flange = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, TIP_SITE)
         self._pushes: Sequence[tuple[str, Array, Array]] = ()
         self._rests = rest_positions(scene)
-        self._movable = np.flatnonzero(~np.concatenate([np.zeros(0, bool), *(each.fixed for each in scene.obstacles)]))
-        has_edges = any(obstacle.is_deformable for obstacle in scene.obstacles)
-        self._foam = Foam(scene.obstacles, scene.foam_scale) if has_edges else None
-        self._obstacles = slice(scene.arm.n, self.model.nv)
+        on_springs = [~each.fixed & (each.bending is None) for each in scene.obstacles]
+        self._movable = np.flatnonzero(np.concatenate([np.zeros(0, bool), *on_springs]))
+        foam = [obstacle for obstacle in scene.obstacles if obstacle.bending is None]
+        has_edges = any(obstacle.is_deformable for obstacle in foam)
+        self._foam = Foam(foam, scene.foam_scale) if has_edges else None
+        self._obstacles = slice(scene.arm.n, scene.arm.n + 3 * len(self._movable))
+        self._sites, self._bent, self._shift = self._stem_ends()
         names = [self.model.body(body).name for body in self.model.geom_bodyid]
         links = self.arm.contact_links
         self._link_of_geom = [links.index(name) if name in links else -1 for name in names]
@@ -219,7 +223,19 @@ class Plant:
         """
         positions = self._rests.copy()
         positions[self._movable] += self.data.qpos[self._obstacles].reshape(-1, 3)
+        positions[self._bent] = self.data.site_xpos[self._sites] - self._shift
         return positions
+
+    def _stem_ends(self) -> tuple[list[int], list[int], Array]:
+        """MuJoCo's sites at the ends of links, their spheres, and (N, 3) how far they are from where they are seen."""
+        sites, spheres, shifts, count = [], [], [], 0
+        for index, obstacle in enumerate(self.scene.obstacles):
+            ends = [node for stem in obstacle.bending.stems for node in stem[1:]] if obstacle.bending else []
+            sites += [self.model.site(f"{obstacle.kind}_{index}_{node}").id for node in ends]
+            spheres += [count + node for node in ends]
+            shifts += [self.scene.offsets[index] if len(self.scene.offsets) else np.zeros(3)] * len(ends)
+            count += len(obstacle.rest)
+        return sites, spheres, np.reshape(shifts, (-1, 3))
 
     def scale_friction(self, factor: float) -> None:
         """Multiply both joint frictions by a factor, relative to those of the scene."""

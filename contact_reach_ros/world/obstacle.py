@@ -1,4 +1,4 @@
-"""Obstacles, bodies of soft spheres, and their kinds in scene files: balls, boxes and walls."""
+"""Obstacles, bodies of soft spheres, and kinds of them in scene files: balls, boxes and walls."""
 
 from __future__ import annotations
 
@@ -15,11 +15,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import Array
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Settings, setting
 
 _WALL_HARDENING = 0.3
 """Of the springs in a wall: with it and the default stiffness, nodes pressed with 10 N yield within 15 % as far as
 those of the planner's mesh, which does not harden."""
+
+_ALONG = np.linspace(0.0, 1.0, 21)
+"""Places along a link, as shares of its length."""
+BOTTOM, MIDDLE = "bottom", "middle"
+"""Nodes of a box that are fixed."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,28 @@ class Material:
     """k of the spring along an edge, N/m."""
     hardening: float = 0.0
     """h: a simulated edge of length l whose ends have moved apart by s has the stiffness k (1 + h (s / l)²)."""
+
+
+@dataclass(frozen=True)
+class Bending:
+    """Chains of links in place of movable spheres: how the simulation has a body that is fixed at its first sphere.
+
+    A sphere is at the end of each link that moves. Joints are at all spheres of a stem but the first and the last, and
+    halfway from the first to the second.
+    """
+
+    stems: tuple[tuple[int, ...], ...]
+    """Spheres of each stem, from the fixed one on."""
+    masses: tuple[tuple[float, ...], ...]
+    """Of the links of each stem that move, kg."""
+    fruits: tuple[float, ...]
+    """Mass at the end of each stem in addition, which touches nothing, kg."""
+    stiffness: float
+    """Of a joint, about both axes across the link, N m/rad."""
+    damping: float
+    """N m s/rad."""
+    limit: float
+    """rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +91,22 @@ class Obstacle:
     """(K,) true for the spheres that cannot move."""
     edges: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), np.intp))
     """(E, 2) indices of the spheres that each edge joins; none by default."""
+    edge_stiffness: Array = field(default_factory=lambda: np.zeros(0))
+    """(E,) N/m; that of the material by default."""
+    bending: Bending | None = None
+    """How it bends; None for a body whose movable spheres have springs and dampers of their own."""
+
+    def __post_init__(self) -> None:
+        if not len(self.edge_stiffness):
+            object.__setattr__(self, "edge_stiffness", np.full(len(self.edges), self.material.edge_stiffness))
+
+    @property
+    def outline(self) -> Array:
+        """(N, 3) centres of spheres of its radius that fill what of it can be touched, m."""
+        if self.bending is None:
+            return self.rest
+        start, end = np.moveaxis(self.rest[self.edges], 1, 0)[:, :, None]
+        return (start + _ALONG[:, None] * (end - start)).reshape(-1, 3)
 
     @property
     def is_deformable(self) -> bool:
@@ -92,6 +136,14 @@ class ObstacleSettings(Settings, ABC):
     def material(self) -> Material:
         """Material of its spheres and edges."""
 
+    def drawn(self, random: np.random.Generator) -> ObstacleSettings:
+        """These settings with what they leave to the seed."""
+        return self
+
+    def goals(self, center: Array) -> Array:
+        """Positions (G, 3), m, that the scene's target is drawn from where it is not given; most kinds have none."""
+        return np.zeros((0, 3))
+
     @abstractmethod
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The obstacles around `center` (3,), m, base frame."""
@@ -107,6 +159,7 @@ class BallSettings(ObstacleSettings):
     mass: float = setting(0.1, "mass", unit="kg", minimum=0.001, maximum=10.0)
     stiffness: float = setting(100.0, "spring that holds it in place", unit="N/m", minimum=1.0, maximum=5000.0)
     damping: float = setting(30.0, "damping of its motion", unit="N s/m", minimum=0.0, maximum=500.0)
+    fixed: bool = setting(False, "whether it stays where it is, whatever pushes it")
 
     @property
     def material(self) -> Material:
@@ -115,7 +168,7 @@ class BallSettings(ObstacleSettings):
 
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The ball at `center` (3,), m."""
-        return (Obstacle(self.KIND, "the ball", center[None], self.radius, self.material, np.zeros(1, bool)),)
+        return (Obstacle(self.KIND, "the ball", center[None], self.radius, self.material, np.array([self.fixed])),)
 
 
 @dataclass(frozen=True)
@@ -159,15 +212,15 @@ class MeshSettings(ObstacleSettings):
         along = (np.moveaxis(index, axis, 0) for axis in range(3))
         return np.concatenate([np.stack([line[:-1].ravel(), line[1:].ravel()], axis=1) for line in along])
 
-    def _body(self, name: str, points: Array, fixed_level: int) -> Obstacle:
+    def _body(self, name: str, points: Array, held: tuple[slice | int, ...]) -> Obstacle:
         fixed = np.zeros(self.nodes, bool)
-        fixed[:, :, fixed_level] = True
+        fixed[held] = True
         return Obstacle(self.KIND, name, points, self.node_radius, self.material, fixed.ravel(), edges=self.edges())
 
 
 @dataclass(frozen=True)
 class BoxSettings(MeshSettings):
-    """A deformable box whose lowest nodes are fixed."""
+    """A deformable box that is fixed at its lowest nodes, or in its middle."""
 
     KIND: ClassVar[str] = "box"
 
@@ -175,11 +228,22 @@ class BoxSettings(MeshSettings):
     angles: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0), "roll, pitch and yaw about the axes of the base", unit="rad", minimum=-6.3, maximum=6.3
     )
+    fixed: str = setting(
+        BOTTOM,
+        "nodes that cannot move: the lowest, or all but the outer rows along y",
+        choices=(BOTTOM, MIDDLE),
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.fixed == MIDDLE and self.nodes[1] < 3:
+            raise SettingsError(f"box: nodes = {self.nodes}: expected 3 or more along y where fixed is {MIDDLE}")
 
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The box around `center` (3,), m."""
         turned = Rotation.from_euler("xyz", self.angles).apply(self.points(np.zeros(3)))
-        return (self._body("the box", center + turned, 0),)
+        held = np.s_[:, :, 0] if self.fixed == BOTTOM else np.s_[:, 1:-1, :]
+        return (self._body("the box", center + turned, held),)
 
 
 @dataclass(frozen=True)
@@ -203,13 +267,9 @@ class WallSettings(MeshSettings):
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The lower and the upper wall around a gap whose centre is at `center` (3,), m."""
         offset = np.array([0.0, 0.0, 0.5 * (self.gap + self.size[2])])
-        lower = self._body("the lower wall", self.points(center - offset), 0)
-        upper = self._body("the upper wall", self.points(center + offset), -1)
+        lower = self._body("the lower wall", self.points(center - offset), np.s_[:, :, 0])
+        upper = self._body("the upper wall", self.points(center + offset), np.s_[:, :, -1])
         return lower, upper
-
-
-KINDS: dict[str, type[ObstacleSettings]] = {kind.KIND: kind for kind in (BallSettings, BoxSettings, WallSettings)}
-"""The kinds by the key of their section; a scene lists its obstacles in this order."""
 
 
 def bodies(sections: Sequence[ObstacleSettings], centers: Sequence[Array]) -> tuple[Obstacle, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.settings import Settings, setting
+from contact_reach_ros.world.goal import HOLD, Goal
 from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.rigid import Environment
 
@@ -68,6 +69,13 @@ class Scene:
     """Rigid bodies, which the arm must not touch."""
     offsets: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(len(obstacles), 3) from where each obstacle is seen to where it is in the simulation, m; empty for none."""
+    orientation: str = HOLD
+    """Of the tip at the target: 'hold' for that of the start, or 'free'."""
+
+    @property
+    def goal(self) -> Goal:
+        """The task of the scene: the tip is to be at the target."""
+        return Goal(self.target, self.orientation)
 
     @property
     def true_obstacles(self) -> tuple[Obstacle, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,14 +12,24 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm.tool import NO_TOOL, Tool
 from contact_reach_ros.errors import ContactReachError, InputError, SceneError, SettingsError
 from contact_reach_ros.resources import share_directory
 from contact_reach_ros.settings import Problems, Settings, read_yaml, setting, unknown_key
-from contact_reach_ros.world.obstacle import KINDS, Obstacle, ObstacleSettings, bodies
+from contact_reach_ros.world.goal import FREE, HOLD
+from contact_reach_ros.world.obstacle import (
+    BallSettings,
+    BoxSettings,
+    Obstacle,
+    ObstacleSettings,
+    WallSettings,
+    bodies,
+)
 from contact_reach_ros.world.rigid import Block, Environment, Plane, RigidBody
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
+from contact_reach_ros.world.stems import StemsSettings
 
-_MOST_SPHERES, _MOST_FREE = 300, 200
+_MOST_SPHERES, _MOST_FREE = 450, 200
 """Greatest numbers of a scene's spheres, and of those that can move; with more, the simulation would not keep its step
 of 1 ms: at these limits a step takes up to 0.35 ms in contact."""
 _STEP = 0.001
@@ -60,6 +69,7 @@ class TargetSettings(Settings):
     position: tuple[float, ...] | None = setting(
         None, "the target, instead of one drawn in the box", unit="m", minimum=-1.5, maximum=1.5, optional_length=3
     )
+    orientation: str = setting(HOLD, "orientation of the tip there: that of the start, or any", choices=(HOLD, FREE))
 
     def start_of(self, arm: Arm) -> Array:
         """Joint angles at the start (n,), rad.
@@ -78,7 +88,11 @@ class TargetSettings(Settings):
         return start
 
 
-SECTIONS: dict[str, type[Settings]] = {"target": TargetSettings, **KINDS, "mismatch": MismatchSettings}
+KINDS: dict[str, type[ObstacleSettings]] = {
+    kind.KIND: kind for kind in (BallSettings, BoxSettings, WallSettings, StemsSettings)
+}
+"""Kinds of obstacles by the key of their section; a scene lists its obstacles in this order."""
+SECTIONS: dict[str, type[Settings]] = {"target": TargetSettings, "tool": Tool, **KINDS, "mismatch": MismatchSettings}
 """Sections that a scene file may have, besides `BASE`, `OBSTACLES` and `ENVIRONMENT`."""
 OBSTACLES, KIND_KEY = "obstacles", "kind"
 """Key of a list of obstacles, and the key by which each of them names its kind."""
@@ -103,6 +117,12 @@ class SceneFile:
     """Path of the file, for messages; empty without a file."""
     environment: Environment = ()
     """Rigid bodies: floor, table and the like."""
+    tool: Tool = NO_TOOL
+    """What an arm without a tool carries in this scene."""
+
+    def equipped(self, arm: Arm) -> Arm:
+        """The arm with the scene's tool, unless it has one of its own."""
+        return arm if arm.bare else arm.with_tool(self.tool)
 
 
 def anywhere(file: SceneFile) -> tuple[Obstacle, ...]:
@@ -140,6 +160,7 @@ def read_scene(name: str) -> SceneFile:
         sections.get("mismatch", NO_MISMATCH),
         str(file),
         tuple(body for body in sections.get(ENVIRONMENT, {}).values() if body is not None),
+        sections.get("tool", NO_TOOL),
     )
     try:
         _check(scene)
@@ -209,9 +230,7 @@ def _section(file: Path, key: str, values: Any, base: Any) -> Any:
         raise SettingsError(f"{where} = {values!r}; expected a mapping of keys to values")
     if key == ENVIRONMENT:
         return {**(base or {}), **_read_environment(values, where)}
-    given = SECTIONS[key].from_mapping(values, where)
-    changes = {name: getattr(given, name) for name in values}
-    return given if base is None else dataclasses.replace(base, **changes)
+    return SECTIONS[key].from_mapping({**({} if base is None else vars(base)), **values}, where)
 
 
 def _read_base(file: Path, base: Any, above: Sequence[Path]) -> dict[str, Any]:

@@ -117,7 +117,7 @@ def obstacle_spheres(scene: Scene, positions: Array) -> Spheres:
     for obstacle in scene.obstacles:
         material, count = obstacle.material, len(obstacle.rest)
         edges.append(obstacle.edges + len(radius))
-        edge_stiffness += [material.edge_stiffness] * len(obstacle.edges)
+        edge_stiffness += obstacle.edge_stiffness.tolist()
         radius += [obstacle.radius] * count
         damping += [material.damping] * count
         stiffness += np.where(obstacle.fixed, FIXED_STIFFNESS, material.stiffness).tolist()

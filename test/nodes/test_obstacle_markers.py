@@ -117,6 +117,7 @@ SPOILED = [
     (lambda message: marker(message, "edges").points.pop(), "edges/2 has"),
     (lambda message: marker(message, "edges").points.extend([to_point((0, 0, 5))] * 2), "edges/2: edge .* no node"),
     (lambda message: marker(message, "edges").points.clear(), "nothing holds sphere"),
+    (change("text", "stiffness 1 40 -3", "edges"), "edges/2 has text .* expected 138 positive numbers"),
     (lambda message: message.markers.remove(marker(message, "obstacles")), "rest/2 has 44 points; expected 0"),
     (lambda message: message.markers.append(marker(message, "obstacles")), "obstacles/2 comes twice"),
     (change("scale", Vector3(), "obstacles", 0), "obstacles/0 has scale"),

@@ -56,6 +56,19 @@ def test_contact_costs_little_up_to_the_permitted_force_and_much_above(roll_out)
         assert terms["contact"][0] == pytest.approx(SMALL.contact_weight * force.sum(), rel=1e-4)
 
 
+def test_the_authors_terms_charge_the_end_of_the_plan_and_the_square_of_every_force(roll_out):
+    actions = STILL.copy()
+    actions[:, 0, 0] = 0.01
+    problem = make_problem(HOME, FLANGE, ball(beside_forearm(-0.005)))
+    problem = problem._replace(weights={"terminal": 2.0, "contact_squared": 0.5})
+    rollout, terms = roll_out(problem, actions)
+    assert terms.keys() == problem.weights.keys()
+    away = np.linalg.norm(rollout.pose.position[-1, :, 0] - rollout.pose.position[0, :, 0])
+    assert terms["terminal"][0] == pytest.approx(2.0 * away, abs=1e-3) and away > 0.005
+    assert terms["contact_squared"][0] == pytest.approx(0.5 * (rollout.link_force[..., 0] ** 2).sum(), rel=1e-4)
+    assert terms["contact_squared"][0] > 0.1
+
+
 def test_orientation_term_is_the_angle_and_counts_only_with_a_weight(roll_out):
     for angle in (0.1, 3.0):
         goal_rotation = rotation_about((0.0, 1.0, 0.0), angle) @ ROTATIONS[-1]

@@ -56,14 +56,15 @@ REFUSED = [
     ("environment: {table: {center: [a, 0, 0], size: [1, 1, 1]}}", "environment: table: expected three numbers"),
     ("environment: {floor: 0.1}", r"environment: floor = 0\.1"),
     ("", "holds NoneType"),
-    ("base: missing.yaml", "base = 'missing.yaml': .*expected .*one of ball, ball_mismatch"),
-    ("base: 7", "base = 7 .*expected one of ball, ball_mismatch"),
+    ("base: missing.yaml", "base = 'missing.yaml': .*expected .*one of authors_ball, .*, ball, ball_mismatch"),
+    ("base: 7", "base = 7 .*expected one of authors_ball, .*, ball, ball_mismatch"),
     # What the simulation could not keep up with.
     ("base: wall\nwall: {nodes: [4, 21, 5], node_radius: 0.01}", "840 spheres and nodes, 672 of which can move"),
     ("ball: {mass: 0.001, stiffness: 2500.0}", "ball: .* of 3500 N/m in all .* stable up to 2000 N/m"),
     # What no seed makes possible. The flange starts at (0.528, 0, 0.378); the forearm ends 0.126 m above it.
     ("target: {start: [0, 0, 0, 2.2, 0, 0, 0]}", r"expected lbr_A4 in \[-2\.094, 2\.094\] rad"),
     ("target: {start: [0, 0, 0, 0, 0, 0]}", "expected a list of 7 values"),
+    ("box: {fixed: middle, nodes: [2, 2, 4]}", r"expected 3 or more along y"),
     ("mismatch: {inertia_set: other}", "set 'other' is unknown; expected one of nominal, alternative"),
     ("ball: {center: [0.528, 0.0, 0.6]}", r"at the start lbr_link_\d lies \d+\.\d mm deep in the ball"),
     ("ball: {center: [0.0, 0.15, 0.2]}", r"at the start lbr_link_0 lies 60\.0 mm deep in the ball"),
