@@ -117,7 +117,7 @@ def soften_fixed(model: mujoco.MjModel) -> None:
     """
     for geom in np.flatnonzero(model.geom_contype == OBSTACLE_CONTACT_TYPE):
         body = model.geom_bodyid[geom]
-        is_soft = model.geom_type[geom] in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE)
+        is_soft = mujoco.mjtGeom(model.geom_type[geom]) in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE)
         if is_soft and not model.body_dofnum[body]:
             model.body_invweight0[body, 0] = 1.0 / _FIXED_MASS
 
