@@ -74,7 +74,9 @@ def test_contact_forces_agree_with_the_simulation_s_own_contacts():
     constants = make_constants(ARM)
     # The model has the cap on joint speeds alone.
     constants[[Constant.TIP_FORCE, Constant.BODY_SPEED, Constant.IMPACT_ENERGY]] = 1e9
-    theirs = np.array([simulate(*each, constants=constants).force for each in zip(scenes, [REST] * CONTACTS, actions)])
+    theirs = np.array(
+        [simulate(*each, constants=constants).force for each in zip(scenes, [REST] * CONTACTS, actions, strict=True)]
+    )
     error = (ours / theirs - 1.0)[theirs >= 1.0]
     assert len(error) >= 20
     assert np.median(np.abs(error)) <= 0.05
