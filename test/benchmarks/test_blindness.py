@@ -120,6 +120,7 @@ def test_the_error_is_what_a_force_may_have_above_the_permitted_one_before_its_e
         *(pytest.param(name, "benchmarks/README.md", marks=pytest.mark.slow) for name in ("panda", "ur10")),
     ],
 )
+@pytest.mark.slow
 def test_the_docs_show_what_the_command_prints(name, page, capsys):
     assert bench(blindness, "--arm", name) == 0
     rows = [row for row in capsys.readouterr().out.splitlines() if row.startswith("|")]

@@ -67,6 +67,7 @@ def predicted_forces(scenes: list[Scene], actions: list[np.ndarray]) -> np.ndarr
     return np.asarray(rollout.link_force).max(axis=(0, 1))
 
 
+@pytest.mark.slow
 def test_contact_forces_agree_with_the_simulation_s_own_contacts():
     random = np.random.default_rng(1)
     scenes, actions = zip(*(draw_contact(random) for _ in range(CONTACTS)), strict=True)

@@ -22,14 +22,9 @@ EARLY = 60
 OUTPUTS = {"controller": 1474, "observer": 2856}
 """Outputs of the bag that can be compared."""
 
-QUICK = (("ball_mismatch", 0),)
-"""Scene and seed of the quick run."""
 
-
-@pytest.mark.parametrize(
-    ("scene", "seed"),
-    [pytest.param(*run, marks=() if run in QUICK else pytest.mark.slow) for run in itertools.product(SCENES, SEEDS)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("scene", "seed"), itertools.product(SCENES, SEEDS))
 def test_episodes_take_the_same_course(scene: str, seed: int) -> None:
     with np.load(RECORDED) as recorded:
         known = {name: recorded[f"{scene}_{seed}/{name}"] for name in ("tip", "torques", "hash", "duration", "force")}

@@ -68,6 +68,7 @@ def examine(env, folder, *arguments, program=()):
     return result, {check["name"]: check for check in report["checks"]}
 
 
+@pytest.mark.slow
 def test_joints_in_another_order_and_a_second_commander_fail(bad_stack, tmp_path):
     parameters = parameter_file(tmp_path / "wrong.yaml", planner={"perod": 0.1})
     result, found = examine(bad_stack, tmp_path, "--parameters", str(parameters))

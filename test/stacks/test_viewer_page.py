@@ -89,6 +89,7 @@ NOTE = "document.querySelector('.mantine-Notification-root')"
 APART = f"{BANNER}.getBoundingClientRect().bottom <= {NOTE}.getBoundingClientRect().top"
 
 
+@pytest.mark.slow
 def test_a_bag_is_shown_from_its_goal_on_and_scrubbed_and_the_banner_is_not_covered(page, tmp_path):
     # The stack would take the processor from the page.
     page.open("about:blank")
