@@ -1,5 +1,7 @@
 """Stops of an arm whose model does not fit it."""
 
+import pytest
+
 from benchmarks.stops import BRAKED, SPEED, TRAVEL, stop_at_rest
 
 
