@@ -26,6 +26,7 @@ def scripted(method, file, setup):
     return Method(ScriptedPlanner(concrete_scene(file, ARM, 0)), setup.controller)
 
 
+@pytest.mark.slow
 def test_profiles_are_those_of_the_episodes_and_can_be_drawn(tmp_path, monkeypatch):
     monkeypatch.setattr(fig5_module, "prepared", scripted)
     file, picture = tmp_path / "fig5.json", tmp_path / "fig5.png"

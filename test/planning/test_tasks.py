@@ -100,6 +100,7 @@ def core() -> RecedingHorizonPlanner:
     return RecedingHorizonPlanner(SIX_AXIS, SMALL, ControllerSettings(AXIS), PERMITTED_FORCE, capacity=1)
 
 
+@pytest.mark.slow
 def test_a_task_of_position_and_axis_plans_for_the_axis_alone(core):
     position, rotation = RobotModel(SIX_AXIS).tip_pose(SIX_HOME)
     costs = {}

@@ -103,6 +103,7 @@ def test_goals_stops_and_resets(stack):
     assert again == (0, "nothing is stopped")
 
 
+@pytest.mark.slow
 def test_time_waits_for_a_recorder_that_stands_still(stack):
     with ros(domain=stack.env["ROS_DOMAIN_ID"]):
         look, stamps = rclpy.create_node("look"), []

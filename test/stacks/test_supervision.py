@@ -63,6 +63,7 @@ def test_a_killed_node_ends_the_stack_with_the_arm_at_rest(victim, tmp_path):
         assert speeds[-100:].max() < REST
 
 
+@pytest.mark.slow
 def test_bringup_names_the_node_that_cannot_start(tmp_path):
     env, output = environment(), tmp_path / "output.txt"
     file = parameter_file(tmp_path / "own.yaml", observer={"cpus": "none"})
