@@ -26,7 +26,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.task import AXIS
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.constants import body_of, make_constants
-from contact_reach_ros.control.kernels import tracking_torque
+from contact_reach_ros.control.controller import torque_towards
 from contact_reach_ros.control.references import Reference, Way
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import ReferenceSpace
@@ -116,27 +116,8 @@ def simulate(
             share = min(1.0, tick * TICK / gains.reference_ramp) if gains.reference_ramp else 1.0
             reference = Way(before, knot).at(share)
             model.update(q, v)
-            sent = tracking_torque(
-                constants,
-                model.mass_matrix,
-                model.bias,
-                model.gravity,
-                model.position,
-                model.rotation,
-                model.jacobian,
-                model.twist,
-                model.drift,
-                reference.position,
-                reference.rotation,
-                reference.posture,
-                *body,
-                q,
-                v,
-                1.0,
-                model.bias if sent is None else sent,
-                TICK,
-                found,
-            )
+            last = model.bias if sent is None else sent
+            sent = torque_towards(reference, model, body, constants, q, v, 1.0, last, TICK, found)
             plant.step(sent)
             force = np.maximum(force, normal_forces(plant))
         before = knot

@@ -11,11 +11,11 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array, JointState, check_fresh
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.constants import body_of, make_constants
+from contact_reach_ros.control.constants import Body, body_of, make_constants
 from contact_reach_ros.control.follower import Follower
 from contact_reach_ros.control.kernels import Constant, tracking_torque
 from contact_reach_ros.control.passive_stop import PassiveStop
-from contact_reach_ros.control.references import References
+from contact_reach_ros.control.references import Reference, References
 from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.control.stability import check_gains
 from contact_reach_ros.control.supervisor import OBSERVER, OWN_WATCH, Event, Mode, Supervisor, check_start, check_state
@@ -360,24 +360,43 @@ class Controller:
         supervisor.happens(Event.PLAN if follower.follows else Event.PLAN_ENDED)
         supervisor.watch_hold(follower.held_for(now_ns), follower.had_plan)
         since_start = (now_ns - self._started_ns) / NANOSECONDS
-        return tracking_torque(
-            self._constants,
-            model.mass_matrix,
-            model.bias,
-            model.gravity,
-            model.position,
-            model.rotation,
-            model.jacobian,
-            model.twist,
-            model.drift,
-            reference.position,
-            reference.rotation,
-            reference.posture,
-            *self._body,
-            q,
-            v,
-            min(since_start / START_RAMP, 1.0),
-            self._sent,
-            period,
-            self._found,
+        authority = min(since_start / START_RAMP, 1.0)
+        return torque_towards(
+            reference, model, self._body, self._constants, q, v, authority, self._sent, period, self._found
         )
+
+
+def torque_towards(
+    reference: Reference,
+    model: RobotModel,
+    body: Body,
+    constants: Array,
+    q: Array,
+    v: Array,
+    authority: float,
+    previous: Array,
+    period: float,
+    found: Array,
+) -> Array:
+    """`kernels.tracking_torque` towards a reference, for a model that was updated to the state."""
+    return tracking_torque(
+        constants,
+        model.mass_matrix,
+        model.bias,
+        model.gravity,
+        model.position,
+        model.rotation,
+        model.jacobian,
+        model.twist,
+        model.drift,
+        reference.position,
+        reference.rotation,
+        reference.posture,
+        *body,
+        q,
+        v,
+        authority,
+        previous,
+        period,
+        found,
+    )

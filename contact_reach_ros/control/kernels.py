@@ -411,17 +411,14 @@ def body_shares(
     speeding = leading + solve_upper(mass_factor, solve_lower(mass_factor, driving[1]))
     slowing = solve_upper(mass_factor, solve_lower(mass_factor, braking))
     for i in range(len(q)):
-        part, to_share = (
-            abs(v[i]) / constants[Constant.JOINT_SPEED, i],
-            np.sign(v[i]) / constants[Constant.JOINT_SPEED, i],
-        )
+        to_share = np.sign(v[i]) / constants[Constant.JOINT_SPEED, i]
+        part = abs(v[i]) / constants[Constant.JOINT_SPEED, i]
         speed_share = max(speed_share, part)
         share = min(share, faded(part, to_share * speeding[i], to_share * slowing[i], rate))
     rotations, origins = joint_frames(placements, q)
     for index in range(len(links)):
         rows = point_jacobian(rotations, origins, int(links[index]), points[index])
-        motion, push = times(rows.T, v), times(rows.T, speeding)
-        drag = times(rows.T, slowing)
+        motion, push, drag = times(rows.T, v), times(rows.T, speeding), times(rows.T, slowing)
         speed = norm(motion)
         if speed > 1e-3:
             energy = 0.5 * speed * speed * moving_mass(rows, motion / speed, mass_factor)
