@@ -33,6 +33,9 @@ from contact_reach_ros.world.scene import Scene
 STILL = 0.05
 """rad: an arm none of whose joints has covered more in all of `EpisodeOptions.patience` is going nowhere."""
 
+VIA_TOLERANCE = 0.05
+"""m: a via point that is so near gives way to the target, as in the authors' code."""
+
 
 @dataclass(frozen=True)
 class EpisodeOptions:
@@ -56,6 +59,8 @@ class EpisodeOptions:
         Of the sensor noise; that of the scene if there is none.
     linger
         Time to go on after the goal was reached or the arm was stopped, s.
+    via
+        A first goal, m, base frame, that gives way to the target within `VIA_TOLERANCE`.
     until_settled
         Whether a goal counts as reached only when it has settled, as the planner decides it: position, angle and rest.
     patience
@@ -78,6 +83,7 @@ class EpisodeOptions:
     hold_orientation: bool = True
     noise_seed: int | None = None
     linger: float = 0.0
+    via: Vector | None = None
     until_settled: bool = False
     patience: float = 0.0
     faults: tuple[Fault, ...] = ()
@@ -228,6 +234,10 @@ def run_episode(scene: Scene, method: Method, options: EpisodeOptions) -> Episod
     joints: list[Array] = []
     positions, forces, residuals, distances, plans = [], [], [], [], []
     start_position = plant.tip_position
+    orientation = HOLD if options.hold_orientation else FREE
+    goals = [Goal(scene.target, orientation, tolerance=options.tolerance)]
+    if options.via is not None:
+        goals.insert(0, Goal(options.via, FREE, tolerance=VIA_TOLERANCE))
     duration, settled, has_goal, has_ended = float("nan"), float("nan"), False, False
     end_tick = settle_ticks + round(options.timeout / TICK)
 
@@ -245,7 +255,7 @@ def run_episode(scene: Scene, method: Method, options: EpisodeOptions) -> Episod
             distances.append(float(np.linalg.norm(positions[-1] - scene.target)))
             if distances[-1] <= options.tolerance and not np.isfinite(duration) and not stack.stop_reason:
                 duration = len(positions) * TICK
-            if stack.settled and not np.isfinite(settled) and not stack.stop_reason:
+            if stack.settled and not goals and not np.isfinite(settled) and not stack.stop_reason:
                 settled = len(positions) * TICK
         done = settled if options.until_settled else duration
         if not has_ended and (np.isfinite(done) or stack.stop_reason or is_lost()):
@@ -256,7 +266,9 @@ def run_episode(scene: Scene, method: Method, options: EpisodeOptions) -> Episod
         if plant.steps >= settle_ticks and not has_goal:
             has_goal = True
             stack.simulated.start_faults()
-            stack.command(Goal(scene.target, HOLD if options.hold_orientation else FREE, tolerance=options.tolerance))
+            stack.command(goals.pop(0))
+        elif has_goal and goals and np.linalg.norm(plant.tip_position - options.via) <= VIA_TOLERANCE:
+            stack.command(goals.pop(0))
         step = stack.step()
         if step.plan is not None:
             plans.append(step.plan)

@@ -100,6 +100,8 @@ class Setup:
     scene's."""
     timeout: float = 20.0
     """Time to reach the goal, s, for methods that follow no path."""
+    via: tuple[float, float, float] | None = None
+    """A first goal, m: see `EpisodeOptions`."""
 
     @classmethod
     def of(cls, name: str, budget: ContactBudget, arm: str = DEFAULT_ARM, task: str = AUTO, **changes: Any) -> Setup:
@@ -134,6 +136,7 @@ class Setup:
             hold_orientation=goal == "hold",
             until_settled=True,
             patience=PATIENCE,
+            via=self.via,
             budget=self.budget,
             noise_seed=noise_seed,
             # Nothing but the plan keeps torques that are applied as they are from moving the arm too fast.
