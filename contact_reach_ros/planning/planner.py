@@ -83,6 +83,12 @@ class KnownObstacles:
 
 
 PATIENCE_NS = NANOSECONDS // 100
+_EARLY = 1.0
+"""Time from a goal within which a contact may come from the arm's set-up rather than from its surroundings, s."""
+_AT_THE_START = (
+    "; if nothing touched the arm, see that the observer knows its tool and the filter of its measured torques "
+    "(momentum.torque_cutoff, or KUKA's measured_torque_tau in robot_description: docs/adapter.md)"
+)
 """Least duration of a contact that counts, ns: ten states, so that no single one ends a motion."""
 
 _RECENT = 8
@@ -267,7 +273,8 @@ class Planner:
         elif self._unexpected_ns is None:
             self._unexpected_ns = now_ns
         elif now_ns - self._unexpected_ns >= PATIENCE_NS:
-            return f"unexpected contact of {describe_contact(found)}"
+            is_early = self._progress is not None and self._progress.state.elapsed < _EARLY
+            return f"unexpected contact of {describe_contact(found)}" + (_AT_THE_START if is_early else "")
         return ""
 
     def request(self, state: JointState) -> Request | None:

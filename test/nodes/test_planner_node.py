@@ -142,7 +142,7 @@ def test_an_unexpected_contact_that_stays_withdraws_the_goal_and_what_the_contro
     pushed = {**TOUCHED, "contact_force_xyz_N": "0 12 0", "sudden_torque_Nm": SUDDEN}
     assert leading.report(**pushed).phase.is_open
     state = leading.report(**pushed)
-    assert (state.phase, state.reason) == (GoalPhase.WITHDRAWN, "unexpected contact of 12 N at lbr_link_7")
+    assert state.phase is GoalPhase.WITHDRAWN and state.reason.startswith("unexpected contact of 12 N at lbr_link_7")
     (nothing,) = leading._output._poses.messages
     assert not nothing.points and leading.diagnosis()[0] == topics.WAITING_FOR_CONTROLLER
     asked = len(leading.asked)

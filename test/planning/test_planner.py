@@ -236,7 +236,7 @@ class TestContacts:
 
     def test_an_unexpected_one_is_objected_to_when_it_lasts_and_the_caller_withdraws(self, planner):
         *early, last = self.objections(planner, range(1, 12), touch())
-        assert not any(early) and last == "unexpected contact of 10 N at lbr_link_7"
+        assert not any(early) and last.startswith("unexpected contact of 10 N at lbr_link_7")
         assert planner.goal is not None
         # A goal given during the contact has as much time.
         planner.command(OTHER_GOAL)
