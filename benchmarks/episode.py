@@ -238,6 +238,7 @@ def run_episode(scene: Scene, method: Method, options: EpisodeOptions) -> Episod
     goals = [Goal(scene.target, orientation, tolerance=options.tolerance)]
     if options.via is not None:
         goals.insert(0, Goal(options.via, FREE, tolerance=VIA_TOLERANCE))
+    first = np.array(goals[0].position)
     duration, settled, has_goal, has_ended = float("nan"), float("nan"), False, False
     end_tick = settle_ticks + round(options.timeout / TICK)
 
@@ -267,7 +268,7 @@ def run_episode(scene: Scene, method: Method, options: EpisodeOptions) -> Episod
             has_goal = True
             stack.simulated.start_faults()
             stack.command(goals.pop(0))
-        elif has_goal and goals and np.linalg.norm(plant.tip_position - options.via) <= VIA_TOLERANCE:
+        elif has_goal and goals and np.linalg.norm(plant.tip_position - first) <= VIA_TOLERANCE:
             stack.command(goals.pop(0))
         step = stack.step()
         if step.plan is not None:

@@ -21,7 +21,7 @@ from contact_reach_ros.messages.topics import Qos
 from contact_reach_ros.ros.client import PLANNER, StackClient, connect
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.interfaces import ADAPTER
-from contact_reach_ros.world.collision import clearances, nearest
+from contact_reach_ros.world.collision import COLLISION_TOLERANCE, clearances, nearest
 from contact_reach_ros.world.goal import POSE, Target
 from contact_reach_ros.world.spheres import Spheres
 
@@ -141,6 +141,6 @@ def check_clearance(arm: Arm, q: Array, obstacles: Spheres) -> None:
                 f"{CLEARANCE:g} m: clear the space, or give a bag of another motion (--bag)"
             )
         worst = min(nearest(arm, between, obstacles.environment), default=None)
-        if worst is not None and worst.distance < 0.0:
+        if worst is not None and worst.distance < -COLLISION_TOLERANCE:
             raise InputError(f"on the way to goal {number} {worst}; give a bag of another motion (--bag)")
         before = postures[0]

@@ -31,9 +31,6 @@ STOP_DELAY = 0.01
 """Delay of the drive and its filters that a stop stays stable with, besides a period, s."""
 STOP_SHARE = 0.8
 """Share of an arm's speed that the stop's damping takes within period and delay: 1.3 is unstable."""
-FADE_SHARE = 0.5
-"""Share of the speed that its cap may take within the delay of the torques: with the damping of the laws, more than
-2 is unstable."""
 
 
 def make_constants(
@@ -72,7 +69,7 @@ def make_constants(
         Constant.JOINT_SPEED: JOINT_SHARE * speeds,
         Constant.IMPACT_ENERGY: IMPACT_ENERGY,
         Constant.BODY_STIFFNESS: BODY_STIFFNESS,
-        Constant.FADE_RATE: FADE_SHARE / limits.torque_delay if limits.torque_delay else np.inf,
+        Constant.TORQUE_DELAY: limits.torque_delay,
     }
     return np.array([np.broadcast_to(values[row], arm.n) for row in Constant])
 

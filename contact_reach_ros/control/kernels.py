@@ -49,7 +49,7 @@ class Constant(IntEnum):
     JOINT_SPEED = 16
     IMPACT_ENERGY = 17
     BODY_STIFFNESS = 18
-    FADE_RATE = 19
+    TORQUE_DELAY = 19
 
 
 _POSITION_ROWS, _AXIS_ROWS = 3, 5
@@ -66,6 +66,9 @@ _POSTURE_REACH = 0.25
 
 FADE = 0.15
 """Share of the permitted speed within which the push of the laws fades beyond it."""
+FADE_SHARE = 0.5
+"""Share of the speed that its cap may take within the delay of the torques: with the damping of the laws, more than
+2 is unstable."""
 
 _YIELD_SWEEPS = 8
 """Times that `yielded` goes through the joints."""
@@ -406,7 +409,10 @@ def body_shares(
         Torque (n,), N m, of damping.
     """
     speed_share, share, most = 0.0, 1.0, constants[Constant.TIP_FORCE, 0]
-    rate = constants[Constant.FADE_RATE, 0]
+    # As fast as torques may change, they need a while to take the push away.
+    late = constants[Constant.TORQUE_DELAY, 0] + 1e-9
+    late += np.max(np.abs(driving[0] + driving[1]) / constants[Constant.TORQUE_RATE])
+    rate = FADE_SHARE / late
     leading = solve_upper(mass_factor, solve_lower(mass_factor, driving[0]))
     speeding = leading + solve_upper(mass_factor, solve_lower(mass_factor, driving[1]))
     slowing = solve_upper(mass_factor, solve_lower(mass_factor, braking))

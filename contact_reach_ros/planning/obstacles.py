@@ -14,7 +14,13 @@ from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.transfer.clearance import Bodies
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
-from contact_reach_ros.world.collision import body_distances, capsule_segments, clearances, nearest
+from contact_reach_ros.world.collision import (
+    COLLISION_TOLERANCE,
+    body_distances,
+    capsule_segments,
+    clearances,
+    nearest,
+)
 from contact_reach_ros.world.rigid import Block, Environment, Plane, RigidBody
 from contact_reach_ros.world.spheres import Spheres
 
@@ -129,9 +135,6 @@ class Network:
 
 PLANES, BLOCKS = 2, 2
 """How many bodies of each kind the cost of a plan takes into account: the nearest ones."""
-COLLISION_TOLERANCE = 0.002
-"""Predicted depth in a rigid body, or of the arm in itself, up to which a plan is accepted, m: capsules are rounder
-than links."""
 _AWAY = 100.0
 """How far away the bodies are that fill up these numbers, m: out of reach, near enough for single precision."""
 _DEEPER = 1e-3

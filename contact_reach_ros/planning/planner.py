@@ -86,8 +86,8 @@ PATIENCE_NS = NANOSECONDS // 100
 _EARLY = 1.0
 """Time from a goal within which a contact may come from the arm's set-up rather than from its surroundings, s."""
 _AT_THE_START = (
-    "; if nothing touched the arm, see that the observer knows its tool and the filter of its measured torques "
-    "(momentum.torque_cutoff, or KUKA's measured_torque_tau in robot_description: docs/adapter.md)"
+    ", or the observer does not know the arm's tool, or a filter of its measured torques (momentum.torque_cutoff, or "
+    "KUKA's measured_torque_tau in robot_description: docs/adapter.md)"
 )
 """Least duration of a contact that counts, ns: ten states, so that no single one ends a motion."""
 

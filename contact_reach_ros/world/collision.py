@@ -25,6 +25,9 @@ from contact_reach_ros.world.spheres import Spheres
 
 GOAL_CLEARANCE = 0.005
 """Least distance of the hand from rigid bodies at a goal, m: nearer, the planner's margin would keep it away."""
+COLLISION_TOLERANCE = 0.002
+"""Predicted depth in a rigid body, or of the arm in itself, up to which a motion is accepted, m: capsules are rounder
+than links."""
 _SAMPLES, _ROUNDS = 17, 3
 
 

@@ -7,8 +7,8 @@ from arm_simulation import random_states
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.control.constants import FADE_SHARE, body_of, make_constants
-from contact_reach_ros.control.kernels import FADE, body_shares, factorise, faded, push_share
+from contact_reach_ros.control.constants import body_of, make_constants
+from contact_reach_ros.control.kernels import FADE, FADE_SHARE, Constant, body_shares, factorise, faded, push_share
 from contact_reach_ros.control.settings import IMPACT_ENERGY, JOINT_SHARE, ImpedanceSettings, LimitSettings
 
 LIMITS, GAINS = LimitSettings(), ImpedanceSettings()
@@ -50,6 +50,7 @@ def by_pinocchio(model: RobotModel, q, v, driving, braking) -> tuple[float, floa
 def test_they_hold_at_every_end_of_a_capsule(name):
     arm = load_arm(name)
     model, constants = RobotModel(arm), make_constants(arm)
+    constants[Constant.TORQUE_RATE] = np.inf
     random = np.random.default_rng(7)
     for q, v in zip(*random_states(8, 7, arm), strict=True):
         v = 0.2 * v

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.control.constants import make_constants, torque_rates
 from contact_reach_ros.control.kernels import REPULSION_MARGIN, limit_torque
 from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.settings import LimitSettings
+from contact_reach_ros.control.settings import JOINT_SHARE, LimitSettings
 
 SETTINGS = LimitSettings()
 CONSTANTS = make_constants(ARM, limits=SETTINGS)
@@ -77,6 +77,21 @@ def test_an_arm_that_starts_near_a_limit_is_not_thrown_off_it(joint):
         assert np.abs(loop.v[joint]) < 0.45
     assert not loop.controller.stop_reason
     assert 0.4 < (POSITION_LIMITS[joint] - loop.q[joint]) / REPULSION_MARGIN < 1.0
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_light_direction_near_a_singularity_is_not_driven_beyond_the_cap(side):
+    """A1 against A3 with A2 almost straight: it speeds up faster than the torques, limited in their rate, can end."""
+    start = np.array([0.08, 0.04, -0.084, -1.46, 0.345, 1.185, -0.062])
+    loop, fastest = ClosedLoop(ideal_plant(start)), 0.0
+    first = loop.reference()
+    ahead = first.position + np.array([0.0, 0.06 * side, 0.0])
+    turned = start + 0.2 * side * np.array([1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0])
+    for tick, _ in enumerate(loop.run(0.6)):
+        if tick == 100:
+            loop.plan([Reference(ahead, first.rotation, turned)], loop.now_ns + 300 * TICK_NS)
+        fastest = max(fastest, float((np.abs(loop.v) / (JOINT_SHARE * VELOCITY_LIMITS)).max()))
+    assert 0.5 < fastest < 1.05 and not loop.controller.stop_reason
 
 
 def null_direction(loop: ClosedLoop) -> np.ndarray:

@@ -345,7 +345,7 @@ def test_the_stages_of_the_first_touch_and_of_full_speed(set_up, rate, packages,
     )
     goals = [words for words in (*page["8"], *page["9"]) if words[0] != "up"]
     with lockstep_stage(page["8"], driver, env, tmp_path, scene) as (folder, text):
-        ended = command_lines(env, *map(shlex.join, goals))
+        ended = command_lines(env, *map(shlex.join, goals), timeout=1200.0)
     assert [code for code, _ in ended] == [0] * len(goals), ended
     assert "stopped the arm" not in text.read_text()
     bag = BagReader(folder)
