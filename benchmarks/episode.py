@@ -267,7 +267,7 @@ def run_episode(scene: Scene, method: Method, options: EpisodeOptions) -> Episod
             has_goal = True
             stack.simulated.start_faults()
             stack.command(goals.pop(0))
-        elif has_goal and goals and np.linalg.norm(plant.tip_position - options.via) <= VIA_TOLERANCE:
+        elif has_goal and goals and options.via and np.linalg.norm(plant.tip_position - options.via) <= VIA_TOLERANCE:
             stack.command(goals.pop(0))
         step = stack.step()
         if step.plan is not None:
