@@ -92,12 +92,28 @@ def test_markers_have_the_stiffness_of_each_edge_and_bringup_passes_no_other():
         ({"stems": ["4 45 inf"]}, "stem '4 45 inf': expected"),
         ({"stems": ["4 45"]}, "stem '4 45': expected"),
         ({"stems": ["4 45 0 flower"]}, "'fruit' or nothing"),
+        ({"stems": ["4 200 0"]}, "stem '4 200 0': expected 2 to 20 links, 0 to 180 degrees"),
         ({"stems": ["4 45 0"], "rigidity": 5.0}, "have a stiffness of 40000 N/m; expected at most 10000"),
+        ({"rigidity": -0.15}, r"rigidity = -0.15: expected a number in \[0.001, 5\] N m²"),
+        ({"rigidity": float("nan")}, r"rigidity = nan: expected a number"),
+        ({"radius": 0.0}, r"radius = 0.0: expected a number in \[0.002, 0.05\] m"),
+        ({"link_length": 0.5}, r"link_length = 0.5: expected a number in \[0.02, 0.3\] m"),
+        ({"leaf_mass": 0.0}, r"leaf_mass = 0.0: expected a number in \[0.001, 1\] kg"),
     ],
 )
 def test_stems_that_cannot_be_are_refused(change, message):
     with pytest.raises(SettingsError, match=message):
         dataclasses.replace(PLANT.obstacles[0], **change)
+
+
+def test_a_plant_in_the_arm_and_one_of_too_many_links_are_refused_with_what_to_do(tmp_path):
+    inside = dataclasses.replace(PLANT.obstacles[0], center=(0.0, 0.0, 0.0))
+    with pytest.raises(SceneError, match=r"lbr_link_0 lies \d+\.\d mm deep in the plant .* move plant.center"):
+        make_scene(dataclasses.replace(PLANT, obstacles=(inside,)), load_arm(), 0)
+    file = tmp_path / "dense.yaml"
+    file.write_text(f"base: plant\nplant: {{stems: {['20 45 0'] * 11}}}\n")
+    with pytest.raises(SceneError, match=r"221 spheres and nodes, 220 of which can move; .* at most 450 and 200"):
+        read_scene(str(file))
 
 
 def test_a_scene_changes_the_plant_of_its_base_key_by_key(tmp_path):
