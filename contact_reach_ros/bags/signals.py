@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -143,15 +143,6 @@ class SafetyEvent:
 
 
 @dataclasses.dataclass(frozen=True)
-class PlanStatistics:
-    """Time at which a plan takes effect, s, why its search ended, and its solve time and costs by key."""
-
-    time: float
-    stop_reason: str
-    numbers: Mapping[str, float]
-
-
-@dataclasses.dataclass(frozen=True)
 class EpisodeSignals:
     """The signals of an episode; a series is empty where its topic was not recorded.
 
@@ -178,7 +169,9 @@ class EpisodeSignals:
     missed_ticks :
         The driver's count of missed ticks: one column.
     plans :
-        Statistics of the plans, in the order in which they take effect.
+        Solve time and costs of the plans by key, at the times at which they take effect.
+    stop_reasons :
+        Why the search for each of the plans ended.
     ticks :
         (n,) times of all joint states, s, also where the series are thinned.
     state_sent_ns :
@@ -203,7 +196,8 @@ class EpisodeSignals:
     goals: Series
     refused_goals: Series
     missed_ticks: Series
-    plans: tuple[PlanStatistics, ...]
+    plans: Series
+    stop_reasons: tuple[str, ...]
     ticks: np.ndarray
     state_sent_ns: np.ndarray
     answers_ns: np.ndarray
@@ -217,9 +211,8 @@ class EpisodeSignals:
 
     def plan_age(self, times: np.ndarray) -> np.ndarray:
         """Time (n,), s, since the plan in force at each of the times (n,), s, took effect; NaN before the first."""
-        effects = np.array([plan.time for plan in self.plans])
-        rows = np.searchsorted(effects, times + _ROUNDING, side="right") - 1
-        return np.asarray(times - np.append(effects, np.nan)[rows])
+        rows = np.searchsorted(self.plans.time, times + _ROUNDING, side="right") - 1
+        return np.asarray(times - np.append(self.plans.time, np.nan)[rows])
 
 
 def settings_of_bag(bag: BagReader) -> dict[str, Mapping[str, Any]]:
@@ -321,11 +314,13 @@ def read_signals(
 
     state_times = clock.of_stamps(state.stamp_ns, state.log_ns)
     safety_states = received("safety_state")
-    plans = [
-        PlanStatistics((effect_ns - clock.origin_ns) / NANOSECONDS, *rest)
-        for _, found in sparse["plan/statistics"]
-        for effect_ns, *rest in found
-    ]
+    plans = sorted((plan for _, found in sparse.pop("plan/statistics") for plan in found), key=lambda plan: plan[0])
+    keys = sorted({key for *_, names, _ in plans for key in names})
+    plan_table = np.full((len(plans), len(keys)), np.nan)
+    columns_of = {names: [keys.index(key) for key in names] for names in {names for *_, names, _ in plans}}
+    for row, (*_, names, values) in enumerate(plans):
+        plan_table[row, columns_of[names]] = values
+    effects_ns = np.array([effect_ns for effect_ns, *_ in plans], np.int64)
     missed = [(time, number) for time, numbers_ in received("diagnostics") for number in numbers_]
     missed_table = np.array(missed).reshape(-1, 2)
     goals, refused_goals = _goals(received("goal_pose"), received("goal/state"), arm.base_frame)
@@ -342,7 +337,8 @@ def read_signals(
         goals,
         refused_goals,
         Series(missed_table[:, 0], ("missed ticks",), missed_table[:, 1:]),
-        tuple(sorted(plans, key=lambda plan: plan.time)),
+        Series((effects_ns - clock.origin_ns) / NANOSECONDS, tuple(keys), plan_table),
+        tuple(reason for _, reason, *_ in plans),
         clock.of_stamps(stamps_ns, received_ns),
         sent_ns,
         answers_ns,
@@ -419,14 +415,22 @@ def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[SafetyEvent]:
             yield SafetyEvent(time, status.level, status.name, status.message, is_stopped(status))
 
 
-def _plans(array: Any) -> Iterator[tuple[int, str, dict[str, float]]]:
-    """Time at which each plan takes effect, ns, why its search ended, and its numbers."""
+_Plan = tuple[int, str, tuple[str, ...], np.ndarray]
+"""Time at which a plan takes effect, ns, why its search ended, and keys and values of its numbers."""
+
+
+@lru_cache(16)
+def _same(keys: tuple[str, ...]) -> tuple[str, ...]:
+    """The same object for equal keys: an hour has a hundred thousand plans."""
+    return keys
+
+
+def _plans(array: Any) -> Iterator[_Plan]:
     for status in array.status:
         reasons = [item.value for item in status.values if item.key == "stop reason"]
+        values = {key: value for key, value in numbers(status) if key.startswith(_OF_PLANS)}
         reason = sys.intern(reasons[-1] if reasons else status.message)
-        # An hour has a hundred thousand plans with the same keys.
-        values = {sys.intern(key): value for key, value in numbers(status) if key.startswith(_OF_PLANS)}
-        yield nanoseconds(array.header.stamp), reason, values
+        yield nanoseconds(array.header.stamp), reason, _same(tuple(values)), np.array(list(values.values()))
 
 
 def _answered(batch: np.ndarray) -> np.ndarray:

@@ -269,7 +269,7 @@ def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
     ticks = signals.ticks[signals.ticks <= end]
     contact, torque = (series.between(start, end) for series in (signals.contact_force, signals.external_torque))
     missed = signals.missed_ticks.between(-np.inf, end).values
-    took = np.array([plan.numbers.get("took ms", np.nan) for plan in signals.plans if plan.time <= end])
+    took = signals.plans.between(-np.inf, end).column("took ms")
     # Deviation of each tick from its time after the one before.
     period_ns = NANOSECONDS / signals.settings.get("driver", {}).get(RATE.name, RATE.default)
     jitter_us = np.abs(np.diff(signals.state_sent_ns) - period_ns) / 1000.0
@@ -294,7 +294,7 @@ def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
         "largest command, of its limit": (100 * largest(np.abs(signals.command.values) / bag.torque_limits), "%"),
         "tick jitter p50": (percentile(jitter_us, 50.0), "µs"),
         "tick jitter p99": (percentile(jitter_us, 99.0), "µs"),
-        "plans": (float(len(signals.plans)), ""),
+        "plans": (float(len(signals.plans.time)), ""),
     }
 
 
@@ -337,7 +337,7 @@ def as_json(bag: ReportBag) -> dict[str, Any]:
             {"time_s": event.time - bag.zero, "level": event.level, "source": event.name, "message": event.message}
             for event in bag.signals.safety
         ],
-        "plan_stop_reasons": dict(sorted(Counter(plan.stop_reason for plan in bag.signals.plans).items())),
+        "plan_stop_reasons": dict(sorted(Counter(bag.signals.stop_reasons).items())),
         "topics": {name: topic.message_count for name, topic in sorted(bag.reader.topics.items())},
         "custom_data": dict(bag.reader.custom_data),
         "settings": {node: dict(values) for node, values in bag.signals.settings.items()},

@@ -90,12 +90,11 @@ def joint_chart(bag: ReportBag) -> Chart:
 
 def solve_chart(bag: ReportBag) -> Chart:
     """Solve time of each plan, coloured by the reason that ended the search."""
-    plans = bag.signals.plans
-    time = np.array([plan.time for plan in plans]) - bag.zero
-    took = np.array([plan.numbers.get("took ms", np.nan) for plan in plans])
+    time, took = bag.signals.plans.time - bag.zero, bag.signals.plans.column("took ms")
+    reasons = np.array(bag.signals.stop_reasons)
     data = []
-    for reason, count in sorted(Counter(plan.stop_reason for plan in plans).items()):
-        chosen = np.array([plan.stop_reason == reason for plan in plans])
+    for reason, count in sorted(Counter(bag.signals.stop_reasons).items()):
+        chosen = reasons == reason
         data.append(
             {
                 "type": "scatter",
@@ -113,10 +112,9 @@ def solve_chart(bag: ReportBag) -> Chart:
 def cost_chart(bag: ReportBag) -> Chart:
     """Cost of each plan, and its terms."""
     plans = bag.signals.plans
-    time = np.array([plan.time for plan in plans]) - bag.zero
-    names = sorted(name for name in (plans[0].numbers if plans else ()) if name == "cost" or name.startswith("cost "))
-    costs = {name: np.array([plan.numbers.get(name, np.nan) for plan in plans]) for name in names}
-    terms = [name for name in names if name != "cost" and np.nan_to_num(costs[name]).any()]
+    time = plans.time - bag.zero
+    costs = {name: plans.column(name) for name in plans.names if name == "cost" or name.startswith("cost ")}
+    terms = [name for name, values in costs.items() if name != "cost" and np.nan_to_num(values).any()]
     data = [curve(time, costs["cost"], "sum", GREY, "", width=3.5)] if "cost" in costs else []
     for index, name in enumerate(terms):
         words = name.removeprefix("cost ").replace("_", " ")
