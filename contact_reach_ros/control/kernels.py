@@ -357,24 +357,29 @@ def norm(vector: Array) -> float:
 
 
 @_compiled()
-def faded(speed_share: float, driving: float, braking: float, most: float) -> float:
-    """Share of the driving torque that is left at a speed, as a share of the permitted one: 0 from 1 + `FADE` on.
+def faded(speed_share: float, driving: float, braking: float, delay: float, ending: float) -> float:
+    """Share p of the driving torque that is left: 0 where the push would end at a speed of 1 + `FADE`.
 
-    A fade is a gain on the speed. Where it were more than `most`, the rest of the push is what keeps the speed as it
-    is, against damping: the speed at which both are in balance stays the same.
+    The push ends after t = delay + p ending, in which the speed rises by t (p driving + braking): a quadratic equation.
+    Where push and damping are in balance, the speed does not depend on these times.
 
     Parameters
     ----------
+    speed_share
+        The speed, as a share of the permitted one.
     driving, braking
         By how much driving and damping raise that share, 1/s.
-    most
-        Greatest gain, 1/s.
+    delay, ending
+        Time until the torques change, and half of that in which they take the whole push away, s.
     """
-    fade = (1.0 + FADE - speed_share) / FADE
-    if driving <= most * FADE:
-        return fade
-    weight = most * FADE / driving
-    return weight * fade + (1.0 - weight) * max(-braking / driving, 0.0)
+    rise, left = max(driving, 0.0), 1.0 + FADE - speed_share
+    drag = min(max(-braking, 0.0), rise)
+    linear = FADE + delay * rise - ending * drag
+    constant = left + delay * drag
+    root = linear**2 + 4.0 * ending * rise * constant
+    if root <= 0.0 or constant <= 0.0:
+        return 0.0
+    return 2.0 * constant / (linear + np.sqrt(root))
 
 
 @_compiled()
@@ -409,10 +414,8 @@ def body_shares(
         Torque (n,), N m, of damping.
     """
     speed_share, share, most = 0.0, 1.0, constants[Constant.TIP_FORCE, 0]
-    # As fast as torques may change, they need a while to take the push away.
-    late = constants[Constant.TORQUE_DELAY, 0] + 1e-9
-    late += np.max(np.abs(driving[0] + driving[1]) / constants[Constant.TORQUE_RATE])
-    rate = FADE_SHARE / late
+    delay = constants[Constant.TORQUE_DELAY, 0] / FADE_SHARE
+    ending = 0.5 * np.max(np.abs(driving[0] + driving[1]) / constants[Constant.TORQUE_RATE])
     leading = solve_upper(mass_factor, solve_lower(mass_factor, driving[0]))
     speeding = leading + solve_upper(mass_factor, solve_lower(mass_factor, driving[1]))
     slowing = solve_upper(mass_factor, solve_lower(mass_factor, braking))
@@ -420,7 +423,7 @@ def body_shares(
         to_share = np.sign(v[i]) / constants[Constant.JOINT_SPEED, i]
         part = abs(v[i]) / constants[Constant.JOINT_SPEED, i]
         speed_share = max(speed_share, part)
-        share = min(share, faded(part, to_share * speeding[i], to_share * slowing[i], rate))
+        share = min(share, faded(part, to_share * speeding[i], to_share * slowing[i], delay, ending))
     rotations, origins = joint_frames(placements, q)
     for index in range(len(links)):
         rows = point_jacobian(rotations, origins, int(links[index]), points[index])
@@ -432,7 +435,7 @@ def body_shares(
             part = max(speed / constants[Constant.BODY_SPEED, 0], by_energy)
             to_share = part / (speed * speed)
             speed_share = max(speed_share, part)
-            share = min(share, faded(part, to_share * dot(motion, push), to_share * dot(motion, drag), rate))
+            share = min(share, faded(part, to_share * dot(motion, push), to_share * dot(motion, drag), delay, ending))
         acceleration = norm(push)
         if acceleration > 1e-3:
             mass = moving_mass(rows, push / acceleration, mass_factor)
