@@ -49,7 +49,7 @@ DELAYS = (0.0, 0.04, 0.47)
 SHIPPED = ("shipped", 0.04, True)
 CROSSED, ALONE = ("slalom", "wall"), ("authors_ball", "ball", "plant")
 VIA = {"slalom": (0.7, 0.15, 0.5)}
-"""First goals, m, set by hand: the authors' own. Without one no cost finds the way in the slalom."""
+"""First goals, m, base frame, that the authors set by hand."""
 _LEAST_DELAY = 0.001
 _SPREAD = (0.03, 0.1, 0.1)
 """How far the targets in scenes with a given one are from it at most, m: that of target 0 is the given one."""

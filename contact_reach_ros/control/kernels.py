@@ -376,10 +376,9 @@ def faded(speed_share: float, driving: float, braking: float, delay: float, endi
     drag = min(max(-braking, 0.0), rise)
     linear = FADE + delay * rise - ending * drag
     constant = left + delay * drag
-    root = linear**2 + 4.0 * ending * rise * constant
-    if root <= 0.0 or constant <= 0.0:
+    if constant <= 0.0:
         return 0.0
-    return 2.0 * constant / (linear + np.sqrt(root))
+    return 2.0 * constant / (linear + np.sqrt(linear**2 + 4.0 * ending * rise * constant))
 
 
 @_compiled()
