@@ -18,6 +18,7 @@ from contact_reach_ros.stack import Stack, make_planner
 from contact_reach_ros.world.goal import Goal
 
 
+@pytest.mark.slow
 def test_it_moves_the_arm_as_the_closed_loop_does():
     """In free space and from motion, within a tenth of the way that the tip goes."""
     random = np.random.default_rng(1)

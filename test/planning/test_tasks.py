@@ -116,6 +116,7 @@ def test_a_task_of_position_and_axis_plans_for_the_axis_alone(core):
     assert costs["across"] > 0.01
 
 
+@pytest.mark.slow
 def test_plans_for_another_arm_lead_to_its_goal_and_predict_contact_as_in_the_simulation(core):
     """The ball is 7 mm deep in the upper arm, within what is permitted; forces on its two capsules add up."""
     goal = Target(RobotModel(SIX_AXIS).tip_pose(SIX_HOME)[0] + np.array([0.0, 0.1, 0.0]))
