@@ -122,8 +122,8 @@ def test_the_bag_opens_with_the_mcap_library_and_lacks_no_topic_and_no_tick(ball
     assert types == own | {"/rosout": "rcl_interfaces/msg/Log"}
     assert counts["/goal_pose"] == counts["/robot_description"] == 1
     assert counts["/reference/pose"] == counts["/reference/posture"]
-    # The stop at the end withdraws the plan in force.
-    assert counts["/reference/pose"] == counts["/plan/path"] + 1 > 20
+    # The stop at the end withdraws the plan in force; the planner may be ended before it hears of the stop.
+    assert counts["/reference/pose"] - counts["/plan/path"] in (0, 1) and counts["/plan/path"] > 20
     # In lockstep each state comes once, and none is missing.
     states = BagReader(bag).messages("/joint_states")
     stamps = sorted(nanoseconds(state.header.stamp) for state in states)
