@@ -30,6 +30,7 @@ def env(quick_compilation) -> ContactReach:
     return ContactReach(dataclasses.replace(scene, obstacles=(near,)))
 
 
+@pytest.mark.slow
 def test_episode_is_the_rollout_of_the_planner(env):
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (KNOTS, env.action_size)).astype(np.float32)
     actions[:, 1] = -1.0
