@@ -182,7 +182,7 @@ class Collector(ABC):
 
     def _decode_together(self, data: list[bytes], times: Times) -> Values | None:
         size = len(data[0])
-        if size < (STAMP_END if self.stamped else HEADER) or any(len(content) != size for content in data):
+        if size < (STAMP_END if self.stamped else HEADER) or set(map(len, data)) != {size}:
             return None
         rows = np.frombuffer(b"".join(data), np.uint8).reshape(-1, size)
         if not (rows[:, :HEADER] == np.frombuffer(PLAIN_CDR, np.uint8)).all():

@@ -8,7 +8,9 @@ another rate than the wall clock.
 from __future__ import annotations
 
 import dataclasses
+import struct
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import Any
@@ -21,10 +23,10 @@ from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointState
 from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.errors import BagError, SettingsError
-from contact_reach_ros.messages.cdr import COUNT, HEADER, PLAIN_CDR, aligned
+from contact_reach_ros.messages.cdr import COUNT, HEADER, PLAIN_CDR, STAMP, Cursor, aligned
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
-from contact_reach_ros.messages.values import GOAL_PHASE, GOAL_STAMP, nanoseconds, numbers, read_settings
+from contact_reach_ros.messages.values import GOAL_PHASE, GOAL_STAMP, nanoseconds, read_settings
 from contact_reach_ros.timing import NANOSECONDS
 
 SETTINGS = "settings"
@@ -53,8 +55,8 @@ _REFUSED = "refused"
 
 _OF_PLANS = ("took ms", "cost")
 """Beginnings of the keys in plan/statistics that are kept."""
-_MISSED = "missed ticks"
-"""The driver's count in its diagnostics."""
+_STOP_REASON, _MISSED = b"stop reason", b"missed ticks"
+"""Keys: why the search for a plan ended, and the driver's count in its diagnostics."""
 _TEXT_START = HEADER + 2 * COUNT.size
 """Where the name in a serialized DiagnosticStatus begins, after the level and its length."""
 
@@ -278,21 +280,27 @@ def read_signals(
             column.watches.append(watch[name])
     sparse: dict[str, list[tuple[int, Any]]] = {name: [] for name in _SPARSE}
     other = _of_other_types(bag)
-    take: dict[str, Callable[[Any], Any]] = {
-        "diagnostics": lambda message: list(_missed_ticks(message)) or None,
-        "intake/controller": lambda message: _answered(message.data),
-        "plan/statistics": lambda message: list(_plans(message)),
+    unread: Counter[str] = Counter()
+    take: dict[str, Callable[[bytes], Any]] = {
+        "diagnostics": lambda data: list(_missed_ticks(data)) or None,
+        "plan/statistics": lambda data: list(_plans(data)),
     }
-    skip: dict[str, Callable[[bytes], bool]] = {"diagnostics": lambda data: _MISSED.encode() not in data}
+    skip: dict[str, Callable[[bytes], bool]] = {}
     if watch is not None:
         skip["safety_state"] = _Repeated()
 
     def few(name: str, messages: Messages) -> None:
-        """Keep of each message what is needed; those that cannot be decoded are left out, as the bag's notes say."""
+        """Keep of each message what is needed; those that cannot be decoded are left out, as notes say."""
         for _, *row in messages.tolist():
             raw = RawMessage(f"/{name}", *row)
-            message = None if name in skip and skip[name](raw.data) else bag.decode(raw)
-            taken = None if message is None else take.get(name, lambda message: message)(message)
+            try:
+                if name in take:
+                    taken = take[name](raw.data)
+                else:
+                    taken = None if name in skip and skip[name](raw.data) else bag.decode(raw)
+            except (struct.error, ValueError):
+                unread[name] += 1
+                continue
             if taken is not None:
                 sparse[name].append((raw.log_time_ns, taken))
 
@@ -302,7 +310,7 @@ def read_signals(
         | {f"/{name}": partial(few, name) for name in sparse if name not in other},
     )
     state, command, torque, contact = (column.column() for column in columns.values())
-    answers_ns = _answers(sent, [taken for _, taken in sparse.pop("intake/controller")])
+    answers_ns = _answers(sent, [_answered(taken.data) for _, taken in sparse.pop("intake/controller")])
     received_ns, stamps_ns, sent_ns = np.concatenate(ticks, axis=1)
     ticks.clear()
     clock = Clock(received_ns, stamps_ns)
@@ -345,6 +353,7 @@ def read_signals(
         {status.name: read_settings(status) for _, status in sparse[SETTINGS]},
         (
             *(f"{name}: is {kind}, expected {_SPARSE[name]}; it is left out" for name, kind in other.items()),
+            *(f"{name}: {count} messages cannot be read and are left out" for name, count in unread.items()),
             *_oddities(
                 {"joint_states": state, "external_torque": torque, "sim/contacts": contact}, {commands: command}
             ),
@@ -419,18 +428,38 @@ _Plan = tuple[int, str, tuple[str, ...], np.ndarray]
 """Time at which a plan takes effect, ns, why its search ended, and keys and values of its numbers."""
 
 
-@lru_cache(16)
-def _same(keys: tuple[str, ...]) -> tuple[str, ...]:
-    """The same object for equal keys: an hour has a hundred thousand plans."""
-    return keys
+_Status = tuple[int, str, str, list[bytes], list[bytes]]
+"""Stamp of its array, ns, name, message, and keys and values."""
 
 
-def _plans(array: Any) -> Iterator[_Plan]:
-    for status in array.status:
-        reasons = [item.value for item in status.values if item.key == "stop reason"]
-        values = {key: value for key, value in numbers(status) if key.startswith(_OF_PLANS)}
-        reason = sys.intern(reasons[-1] if reasons else status.message)
-        yield nanoseconds(array.header.stamp), reason, _same(tuple(values)), np.array(list(values.values()))
+def _statuses(data: bytes) -> Iterator[_Status]:
+    """Yield the statuses in a serialized DiagnosticArray; an hour has a hundred thousand of them.
+
+    Raises `struct.error` or `ValueError` if the bytes are none.
+    """
+    cursor = Cursor(data)
+    seconds, nanosec = cursor.numbers(STAMP)
+    cursor.skip(1)  # frame_id
+    for _ in range(cursor.count()):
+        cursor.at += 1  # level
+        name, message, _ = cursor.texts(3)
+        items = cursor.texts(2 * cursor.count())
+        yield seconds * NANOSECONDS + nanosec, name.decode(), message.decode(), items[::2], items[1::2]
+
+
+@lru_cache(64)
+def _kept(keys: tuple[bytes, ...]) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """The keys of numbers that are kept of a plan, and their places among all."""
+    names = [key.decode() for key in keys]
+    places = tuple(place for place, name in enumerate(names) if name.startswith(_OF_PLANS))
+    return tuple(names[place] for place in places), places
+
+
+def _plans(data: bytes) -> Iterator[_Plan]:
+    for stamp_ns, _, message, keys, values in _statuses(data):
+        names, places = _kept(tuple(keys))
+        reason = values[keys.index(_STOP_REASON)].decode() if _STOP_REASON in keys else message
+        yield stamp_ns, sys.intern(reason), names, np.array([float(values[place]) for place in places])
 
 
 def _answered(batch: np.ndarray) -> np.ndarray:
@@ -484,8 +513,8 @@ def _goals(
         yield Series(times[some], ("x", "y", "z"), positions[some])
 
 
-def _missed_ticks(array: Any) -> Iterator[float]:
+def _missed_ticks(data: bytes) -> Iterator[float]:
     """The driver's count of missed ticks, out of its diagnostics."""
-    for status in array.status:
-        if status.name == "driver":
-            yield from (number for key, number in numbers(status) if key == _MISSED)
+    for _, name, _, keys, values in _statuses(data):
+        if name == "driver" and _MISSED in keys:
+            yield float(values[keys.index(_MISSED)])
