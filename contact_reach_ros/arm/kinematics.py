@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike
 from contact_reach_ros.arm.arm import PARALLEL, Arm, Vector3
 from contact_reach_ros.arm.arrays import Array
 
+_MANY = 10_000
+"""Postures at once."""
+
 
 def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
     """Rotation matrix (3, 3) of a quaternion (w, x, y, z), which need not be normalised."""
@@ -89,7 +92,9 @@ def link_frames_of_many(arm: Arm, q: Array) -> tuple[Array, Array]:
 
 def tip_positions(arm: Arm, q: Array) -> Array:
     """Positions (N, 3) of the tip, m, base frame, for postures `q` (N, n), rad."""
-    return link_frames_of_many(arm, q)[1][-1].T
+    # Frames take 100 numbers a posture, and an hour's recording has many.
+    parts = (q[first : first + _MANY] for first in range(0, max(len(q), 1), _MANY))
+    return np.concatenate([link_frames_of_many(arm, part)[1][-1].T for part in parts])
 
 
 def mass_matrix(arm: Arm, q: ArrayLike) -> Array:

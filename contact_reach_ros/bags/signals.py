@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import struct
 import sys
+from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
@@ -23,7 +24,7 @@ from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointState
 from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.errors import BagError, SettingsError
-from contact_reach_ros.messages.cdr import COUNT, HEADER, PLAIN_CDR, STAMP, Cursor, aligned
+from contact_reach_ros.messages.cdr import ARRAY_START, COUNT, HEADER, NO_LAYOUT, PLAIN_CDR, STAMP, Cursor, aligned
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.values import GOAL_PHASE, GOAL_STAMP, nanoseconds, read_settings
@@ -267,11 +268,9 @@ def read_signals(
         "external_torque": JointStates(("effort",), joints),
         "sim/contacts": JointStates(("effort",), (*arm.contact_links, "sum", "max")),
     }
-    ticks, sent = [np.zeros((3, 0), np.int64)], [np.zeros((2, 0), np.int64)]
-    columns["joint_states"].watches.append(
-        lambda part: ticks.append(np.stack([part.log_ns, part.stamp_ns, part.publish_ns]))
-    )
-    columns[commands].watches.append(lambda part: sent.append(np.stack([part.sequence, part.publish_ns])))
+    ticks, sent, answered = (tuple(array("q") for _ in range(count)) for count in (3, 2, 2))
+    columns["joint_states"].watches.append(lambda part: _extend(ticks, part.log_ns, part.stamp_ns, part.publish_ns))
+    columns[commands].watches.append(lambda part: _extend(sent, part.sequence, part.publish_ns))
     for name, column in columns.items():
         topic = bag.topics.get(f"/{name}")
         if watch is not None and topic is not None and topic.message_count > _LONG:
@@ -283,9 +282,10 @@ def read_signals(
     unread: Counter[str] = Counter()
     take: dict[str, Callable[[bytes], Any]] = {
         "diagnostics": lambda data: list(_missed_ticks(data)) or None,
+        "intake/controller": lambda data: _extend(answered, *_answered(data)),
         "plan/statistics": lambda data: list(_plans(data)),
     }
-    skip: dict[str, Callable[[bytes], bool]] = {}
+    skip: dict[str, Callable[[bytes], bool]] = {"goal/state": lambda data: _REFUSED.encode() not in data}
     if watch is not None:
         skip["safety_state"] = _Repeated()
 
@@ -310,9 +310,8 @@ def read_signals(
         | {f"/{name}": partial(few, name) for name in sparse if name not in other},
     )
     state, command, torque, contact = (column.column() for column in columns.values())
-    answers_ns = _answers(sent, [_answered(taken.data) for _, taken in sparse.pop("intake/controller")])
-    received_ns, stamps_ns, sent_ns = np.concatenate(ticks, axis=1)
-    ticks.clear()
+    answers_ns = _answers(*map(_as_array, (*sent, *answered)))
+    received_ns, stamps_ns, sent_ns = map(_as_array, ticks)
     clock = Clock(received_ns, stamps_ns)
 
     def received(name: str) -> list[tuple[float, Any]]:
@@ -462,24 +461,42 @@ def _plans(data: bytes) -> Iterator[_Plan]:
         yield stamp_ns, sys.intern(reason), names, np.array([float(values[place]) for place in places])
 
 
-def _answered(batch: np.ndarray) -> np.ndarray:
+def _answered(data: bytes) -> np.ndarray:
     """Of the joint states in a record of the controller's inputs the number of the next command, and sending, ns."""
-    rows = batch[1:].reshape(-1, len(COLUMNS)) if len(batch) % len(COLUMNS) == 1 else np.zeros((0, len(COLUMNS)), int)
+    (count,) = COUNT.unpack_from(data, HEADER + len(NO_LAYOUT))
+    batch = np.frombuffer(data, "<i8", count, ARRAY_START)
+    rows = batch[1:].reshape(-1, len(COLUMNS)) if count % len(COLUMNS) == 1 else np.zeros((0, len(COLUMNS)), int)
     return np.stack([rows[:, 3] + 1, rows[:, 1]])[:, rows[:, 0] == Taken.JOINT_STATES]
 
 
-def _answers(sent: list[np.ndarray], taken: list[np.ndarray]) -> np.ndarray:
-    """From the sending of each joint state to that of its command, ns; both with their numbers, (2, n) each."""
-    numbers, sent_ns = np.concatenate(sent, axis=1)
-    sent.clear()
-    wanted, states_ns = np.concatenate([np.zeros((2, 0), np.int64), *taken], axis=1)
+def _answers(numbers: np.ndarray, sent_ns: np.ndarray, wanted: np.ndarray, states_ns: np.ndarray) -> np.ndarray:
+    """From the sending of each joint state to that of its command, ns.
+
+    `numbers` are those of the commands, `wanted` those of the commands that answer the states.
+    """
     if not numbers.any():
         return np.zeros(0, np.int64)
-    order = np.argsort(numbers, kind="stable")
-    at = order[np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(numbers) - 1)]
+    if (numbers[1:] < numbers[:-1]).any():
+        order = np.argsort(numbers, kind="stable")
+        numbers, sent_ns = numbers[order], sent_ns[order]
     # States before the start, or that came again, have no answer: the number of commands stays as it is.
-    answers = (sent_ns[at] - states_ns)[(np.diff(wanted, append=0) != 0) & (numbers[at] == wanted)]
-    return answers[(answers >= 0) & (answers < NANOSECONDS)]
+    is_last = np.append(wanted[1:] != wanted[:-1], True)
+    answers = [np.zeros(0, np.int64)]
+    for part in (slice(first, first + _LONG) for first in range(0, len(wanted), _LONG)):
+        at = np.minimum(np.searchsorted(numbers, wanted[part]), len(numbers) - 1)
+        answers.append((sent_ns[at] - states_ns[part])[is_last[part] & (numbers[at] == wanted[part])])
+    found = np.concatenate(answers)
+    return found[(found >= 0) & (found < NANOSECONDS)]
+
+
+def _extend(arrays: Sequence[array[int]], *parts: np.ndarray) -> None:
+    """Append to each array, which grows in place, a part of whole numbers."""
+    for grown, part in zip(arrays, parts, strict=True):
+        grown.frombytes(part.astype(np.int64, copy=False).tobytes())
+
+
+def _as_array(numbers: array[int]) -> np.ndarray:
+    return np.frombuffer(numbers, np.int64)
 
 
 def _oddities(columns: Mapping[str, Column], commands: Mapping[str, Column]) -> Iterator[str]:

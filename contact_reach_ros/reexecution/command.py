@@ -18,21 +18,25 @@ IDENTICAL, DIFFERENT = 0, 1
 
 
 def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = None, file: Path | None = None) -> int:
-    """Re-execute and report what differs; returns `DIFFERENT` if anything does and no settings are changed.
+    """Re-execute and report what differs.
+
+    Returns `DIFFERENT` if anything does and no settings are changed, or if nothing could be compared.
 
     `plan` is the number of one to solve again, instead of controller and observer; `other` a parameter file with other
     settings of these; `file` takes the numbers as JSON. Raises `BagError` if the bag lacks what is needed,
     `SettingsError` if settings are not accepted, `InputError` if the file cannot be written.
     """
     reader = BagReader(bag, of_stack=True)
-    inputs = RecordedInputs(reader)
-    for note in reader.notes:
-        print(f"note: {note}")
+    try:
+        inputs = RecordedInputs(reader)
+    finally:
+        for note in reader.notes:
+            print(f"note: {note}")
     report: dict[str, Any] = {"bag": str(bag)}
     if plan is not None:
         report["plan"], differs = _reexecute_plan(inputs, plan)
     else:
-        differs, missing = False, []
+        differs, compared, missing = False, 0, []
         for node in ("controller", "observer"):
             try:
                 found = reexecute(node, inputs, other)
@@ -40,12 +44,14 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
                 missing.append(error)
                 continue
             differs |= found.first_difference is not None
+            compared += found.compared
             _print(found, inputs, other)
             report[node] = _as_json(found, inputs)
         if len(missing) == 2:
             raise missing[0]
         for lacking in missing:
             print(f"note: {lacking}")
+        differs |= not compared
     if file is not None:
         write_text(file, json.dumps(report, indent=2) + "\n")
     return DIFFERENT if differs else IDENTICAL
