@@ -339,7 +339,8 @@ def test_the_stages_of_the_first_touch_and_of_full_speed(set_up, rate, packages,
     env, driver = {**environment(), **packages}, driver_of(set_up, rate)
     own_file(kind, tmp_path)
     monkeypatch.chdir(tmp_path)
-    scene, (center,) = tmp_path / "sponge.yaml", re.findall(r"radius at\n(\[.*?\])", STAGES)
+    scene, centers = tmp_path / "sponge.yaml", re.findall(r"(\[[^]]*, 0\.4\])", STAGES)
+    center = centers[kind == FRANKA]
     scene.write_text(
         yaml.safe_dump({"base": "ball", "target": {"reach": 0.0}, "ball": {"center": yaml.safe_load(center)}})
     )
