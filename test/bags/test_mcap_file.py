@@ -4,7 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import mcap.writer
 import pytest
+import zstandard
 from mcap.records import Message
 from mcap.writer import CompressionType, IndexType, Writer
 
@@ -78,6 +80,16 @@ def check(path: Path, written: list[tuple[str, Message]]) -> McapFile:
 def test_messages_are_as_written(tmp_path, options):
     """Other writers may leave out parts of index and summary."""
     written = write(tmp_path / "a.mcap", **options)
+    assert list(check(tmp_path / "a.mcap", written).notes()) == []
+
+
+def test_compressed_chunks_need_not_tell_their_size(tmp_path, monkeypatch):
+    def compress(data):
+        stream = zstandard.ZstdCompressor(write_content_size=False).compressobj()
+        return stream.compress(data) + stream.flush()
+
+    monkeypatch.setattr(mcap.writer.zstandard, "compress", compress)
+    written = write(tmp_path / "a.mcap", compression=CompressionType.ZSTD)
     assert list(check(tmp_path / "a.mcap", written).notes()) == []
 
 

@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
-from geometry_msgs.msg import Vector3
+from geometry_msgs.msg import Quaternion, Vector3
 from hostile import garbage
 from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA
@@ -120,10 +120,22 @@ SPOILED = [
     (change("text", "stiffness 1 40 -3", "edges"), "edges/2 has text .* expected 138 positive numbers"),
     (lambda message: message.markers.remove(marker(message, "obstacles")), "rest/2 has 44 points; expected 0"),
     (lambda message: message.markers.append(marker(message, "obstacles")), "obstacles/2 comes twice"),
+    (
+        lambda message: message.markers.remove(marker(message, "edges")),
+        "obstacles/2 is .* a SPHERE for each ball",
+    ),
+    (lambda message: message.markers.remove(marker(message, "obstacles", 0)), "rest/0 has 1 points; expected 0"),
+    (change("header.frame_id", ""), "frame_id is ''; expected 'lbr_link_0'"),
+    (change("type", Marker.CYLINDER, "obstacles", 0), "obstacles/0 has type 3 and action 0; expected SPHERE"),
+    (change("action", Marker.DELETEALL, "obstacles", 0), "obstacles/0 has type 2 and action 3; expected .* to ADD"),
+    (change("action", Marker.DELETE, "block", 0), "block/0 has action 2; expected CUBE, to ADD"),
+    (change("pose.position.z", np.inf, "obstacles", 0), "obstacles/0 has point 0 at .*inf"),
     (change("scale", Vector3(), "obstacles", 0), "obstacles/0 has scale"),
+    (change("scale.x", -0.4, "obstacles", 0), "obstacles/0 has scale = .* expected a diameter"),
     (change("pose.position.x", 0.1), "obstacles/2 has a pose"),
     (change("scale.y", 0.0, "block", 0), "block/0 .* size"),
     (change("pose.orientation.w", 3.0, "block", 0), "block/0 .* orientation"),
+    (change("pose.orientation", Quaternion(w=0.0), "block", 0), "block/0 .* expected a unit quaternion"),
 ]
 
 
