@@ -98,6 +98,14 @@ def test_messages_after_the_chunks_are_read_and_counted(tmp_path):
     assert list(check(tmp_path / "a.mcap", written).notes()) == []
 
 
+@pytest.mark.parametrize("index_types", [IndexType.ALL, IndexType.ALL & ~IndexType.MESSAGE, IndexType.NONE])
+def test_messages_that_were_all_received_at_0_are_read(tmp_path, index_types):
+    """As a simulation before its clock has begun, or a converter, writes them."""
+    written = write(tmp_path / "a.mcap", astray=dict.fromkeys(range(COUNT), 0), index_types=index_types)
+    file = McapFile(tmp_path / "a.mcap")
+    assert read(file, ["/a", "/b"]) == rows(written) and file.span_ns == (0, 0)
+
+
 @pytest.mark.parametrize("time", [0, (1 << 64) - 5])
 def test_a_message_of_an_impossible_time_is_left_out_with_a_note(tmp_path, time):
     year_ns = 366 * 24 * 3600 * 10**9

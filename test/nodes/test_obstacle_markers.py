@@ -13,7 +13,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.messages.conversions import to_point
+from contact_reach_ros.messages.conversions import to_marker, to_point
 from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter, obstacle_markers
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.planning.settings import PlannerNodeSettings
@@ -170,6 +170,22 @@ def test_obstacles_of_two_namespaces_may_have_one_id():
     message.markers[0].pose.position.x = 0.7
     spheres = reader.read(serialize_message(message))
     assert (spheres.center[0, 0], spheres.rest[0, 0]) == (0.7, 0.6)
+
+
+def test_balls_may_have_any_name_number_and_size():
+    names = [("Hände", 0), ("hand", -1), ("plane", 7), ("block", 7), *(("cloud", number) for number in range(1000))]
+    message = MarkerArray()
+    for place, (namespace, number) in enumerate(names):
+        one = to_marker(namespace, number, Marker.SPHERE, 3 * [50.0 if place == 0 else 0.1], (1, 1, 1, 1))
+        one.header.frame_id, one.pose.position.x, one.text = ARM.base_frame, 0.001 * place, "material: stiffness=100"
+        message.markers.append(one)
+    nothing = to_marker("nothing", 0, Marker.SPHERE_LIST, 3 * [0.1], (1, 1, 1, 1))
+    nothing.header.frame_id = ARM.base_frame
+    message.markers.append(nothing)
+    spheres = new_reader().read(serialize_message(message))
+    assert sorted(spheres.center[:, 0]) == [0.001 * place for place in range(len(names))]
+    assert spheres.radius.max() == 25.0 and set(spheres.stiffness) == {MATERIAL.sphere_stiffness}
+    assert not spheres.environment
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 8])
