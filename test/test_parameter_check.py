@@ -154,3 +154,47 @@ def test_what_is_there_twice_is_refused_and_not_read_in_part(tmp_path, text, key
     file.write_text(text)
     with pytest.raises(SettingsError, match=f"'{key}' is there twice"):
         check_parameters(file, STACK)
+
+
+MOMENTUM = "observer: {ros__parameters: {momentum: {%s}}}"
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "value"),
+    [
+        ("\ufeff" + MOMENTUM % "gain: 40.0", "gain", 40.0),
+        ("observer:\r\n  ros__parameters:\r\n    momentum:\r\n      gain: 40.0\r\n", "gain", 40.0),
+        ("/observer: {ros__parameters: {momentum.gain: 40.0}}", "gain", 40.0),
+        (MOMENTUM % "gain: 4e1", "gain", 40.0),
+        (MOMENTUM % "gain: 40", "gain", 40),
+        ("planner: {ros__parameters: &all {state_rate: 1e3}}\n" + MOMENTUM % "<<: &m {gain: 40.0}", "gain", 40.0),
+        ("/**: {ros__parameters: &all {robot: iiwa14}}\n" + MOMENTUM % "gain: &gain 4.0e+1", "gain", 40.0),
+        (MOMENTUM % "gravity_in_torque: off", "gravity_in_torque", False),
+        (MOMENTUM % "torque_offset: [0, 0, 0, 0, 0, 0, 0]", "torque_offset", [0] * 7),
+        (MOMENTUM % "torque_offset: [0, 1e-1, 0, 0, 0, 0, 0.5]", "torque_offset", [0, 0.1, 0, 0, 0, 0, 0.5]),
+    ],
+)
+def test_a_file_may_be_written_as_editors_and_people_write_it(tmp_path, text, name, value):
+    file = tmp_path / "own.yaml"
+    file.write_bytes(text.encode())
+    check_parameters(file, STACK)
+    assert parameters_in(file, "observer")[f"momentum.{name}"] == value
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "holds NoneType; expected a mapping"),
+        ("observer:\n  ros__parameters:\n\tmomentum:\n\t  gain: 40.0\n", "not valid YAML: .*'\\\\t'"),
+        (MOMENTUM % 'gravity_in_torque: "false"', "gravity_in_torque = 'false': expected true or false"),
+        (MOMENTUM % "gain: 40,0", "unknown key|gain = .* expected a number"),
+        (MOMENTUM % "gain: '40.0'", "gain = '40.0': expected a number"),
+        ("observer: {ros__parameters: {safety: {debounce: 3.0}}}", "debounce = 3.0: expected an integer"),
+        ("observer: {ros__parameters: {safety: {debounce: 3e0}}}", "debounce = 3.0: expected an integer"),
+    ],
+)
+def test_what_a_file_cannot_mean_is_refused(tmp_path, text, said):
+    file = tmp_path / "own.yaml"
+    file.write_text(text)
+    with pytest.raises(SettingsError, match=rf"(?s)own\.yaml: .*({said})"):
+        check_parameters(file, STACK)

@@ -1,9 +1,11 @@
 """Controller and observer together, under any sequence of states, plans, heartbeats, stops and resets."""
 
 import math
+import re
 
 import hypothesis
 import numpy as np
+import pytest
 from arm_simulation import ARM, HOME, SECOND_NS, TICK_NS, TORQUE_LIMITS
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
@@ -250,3 +252,76 @@ class SafetyLoop(RuleBasedStateMachine):
 
 TestSafetyLoop = SafetyLoop.TestCase
 TestSafetyLoop.settings = hypothesis.settings(max_examples=30, stateful_step_count=25)
+
+
+RATE = 200.0
+STRAIGHT, A1 = np.array([0.0, 0.6, 0.0, 0.0, 0.0, 0.5, 0.0]), np.eye(ARM.n)[0]
+WEIGHT = "at hand-over (the )?external torque on lbr_A. is .* the model has a wrong weight"
+
+
+def near_limit(inside):
+    return np.where(np.arange(ARM.n) == 3, ARM.lower + inside, STRAIGHT)
+
+
+def turning(speed, share=1.0):
+    """The first joint turns, and the state has this share of its speed."""
+    return lambda state, t: state._replace(q=state.q + speed * t * A1, v=state.v + share * speed * A1)
+
+
+def stamped(clock):
+    return lambda state, t: state._replace(stamp_ns=round(clock(t) * SECOND_NS))
+
+
+def with_torque(change):
+    return lambda state, t: state._replace(torque=change(state.torque))
+
+
+DRIVERS = {
+    "at rest": (None, HOME, Mode.HOLDING, ""),
+    "straight elbow": (None, STRAIGHT, Mode.HOLDING, ""),
+    "all zero": (None, np.zeros(ARM.n), Mode.HOLDING, ""),
+    "inside a limit": (None, near_limit(0.01), Mode.HOLDING, ""),
+    "beyond a limit": (None, near_limit(-0.02), Mode.WAITING, "lbr_A4 beyond the position limit"),
+    "in degrees": (lambda state, t: state._replace(q=np.rad2deg(state.q)), HOME, Mode.WAITING, WEIGHT),
+    "rounded": (lambda state, t: state._replace(q=HOME.round(3), v=np.zeros(ARM.n)), HOME, Mode.HOLDING, ""),
+    "in motion": (turning(0.3), HOME, Mode.HOLDING, ""),
+    "in fast motion": (turning(1.2), HOME, Mode.STOPPED, "times its permitted speed"),
+    "without velocities": (turning(0.3, 0.0), HOME, Mode.SILENT, "position and velocity of lbr_A1 differ"),
+    "without stamps": (stamped(lambda t: 0.0), HOME, Mode.WAITING, "stamps .* do not advance"),
+    "with old stamps": (stamped(lambda t: t - t % 0.05), HOME, Mode.WAITING, "20 Hz, expected 200 Hz"),
+    "with rounded stamps": (stamped(lambda t: round(t, 3)), HOME, Mode.HOLDING, ""),
+    "with jittering stamps": (stamped(lambda t: t + 0.004 * math.sin(1e4 * t)), HOME, Mode.HOLDING, ""),
+    "with a clock set back": (stamped(lambda t: t - 10.0 * (t > 0.5)), HOME, Mode.HOLDING, ""),
+    "with a clock set forward": (stamped(lambda t: t + 3600.0 * (t > 0.5)), HOME, Mode.STOPPED, "for 3600005 ms"),
+    "without torques": (with_torque(lambda _: None), HOME, Mode.WAITING, "joint_states carry no effort"),
+    "with torques of zero": (with_torque(np.zeros_like), HOME, Mode.SILENT, WEIGHT),
+    "with torques of the other sign": (with_torque(np.negative), HOME, Mode.SILENT, WEIGHT),
+    "with torques in another order": (with_torque(np.flip), HOME, Mode.SILENT, WEIGHT),
+}
+"""What drivers make of an arm in a posture, how the controller ends, and what it says."""
+
+
+@pytest.mark.parametrize(("change", "posture", "mode", "said"), DRIVERS.values(), ids=DRIVERS)
+def test_states_as_drivers_give_them_let_the_arm_be_held_or_are_named(change, posture, mode, said):
+    controller = Controller(ARM, SETTINGS, 1.0 / RATE)
+    observer = Observer(ARM, ObserverSettings(), ContactBudget(), 1.0 / RATE)
+    model, random, sent = RobotModel(ARM), np.random.default_rng(0), []
+    for tick in range(round(0.7 * RATE)):
+        t, noise = tick / RATE, random.standard_normal((3, ARM.n))
+        q, clock_ns = posture + 1e-5 * noise[0], round((1000.0 + t) * SECOND_NS)
+        state = JointState(clock_ns, q, 1e-3 * noise[1], model.gravity_at(q) + 0.05 * noise[2])
+        state = state if change is None else change(state, t)
+        refused = ""
+        report = observer.update(state)
+        if report is not None and report.due:
+            controller.hear(report.verdict, clock_ns)
+        try:
+            sent.append(controller.update(state, clock_ns))
+        except InputError as error:
+            refused = str(error)
+    assert controller.mode is mode
+    named = controller.stop_reason or controller.not_vouched or refused
+    assert re.search(said, named) if said else not named
+    torques = np.array([each for each in sent if each is not None]).reshape(-1, ARM.n)
+    assert np.isfinite(torques).all() and (len(torques) > 0) is (mode is not Mode.WAITING)
+    assert (np.abs(torques) <= CAP).all()

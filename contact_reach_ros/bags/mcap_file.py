@@ -184,6 +184,8 @@ class McapFile:
         indexed = sum(c.message_index_length - _INDEX_BYTES * len(c.message_index_offsets) for c in chunks)
         # Others are outside of chunks, or the writer made no index.
         complete = complete and (not indexed or indexed == _ENTRY_BYTES * summary.statistics.message_count)
+        # Any other chunk is empty, or has messages that were received at 0.
+        complete = complete and all(c.message_index_offsets or c.message_end_time for c in chunks)
         if not complete or len(chunks) != summary.statistics.chunk_count or not chunks:
             return False
         self.schemas, self.channels, self.metadata = summary.schemas, summary.channels, metadata
@@ -191,7 +193,6 @@ class McapFile:
         self.chunks = [
             _Chunk(c.chunk_start_offset, c.message_start_time, c.message_end_time, c.message_index_offsets.keys())
             for c in chunks
-            if c.message_index_offsets or c.message_end_time
         ]
         return True
 

@@ -138,9 +138,8 @@ class ObstacleMarkerReader:
         rests = self._rests | {number: body[REST].points for number, body in bodies.items() if REST in body}
         parts, count = [_NO_SPHERES], 0
         for name, parts_of_it in sorted(bodies.items()):
-            if parts_of_it.keys() != {REST}:
-                parts.append(self._spheres(name, parts_of_it, rests, count))
-                count += len(parts[-1]["center"])
+            parts.append(self._spheres(name, parts_of_it, rests, count))
+            count += len(parts[-1]["center"])
         self._rests = rests
         columns = {name: np.concatenate([part[name] for part in parts]) for name in _NO_SPHERES}
         spheres = Spheres(**columns, environment=tuple(environment))
@@ -160,6 +159,8 @@ class ObstacleMarkerReader:
                 "node that can move"
             )
         is_ball = OBSTACLES in body and body[OBSTACLES].type == _SPHERE
+        if len(movable) and not is_ball and EDGES not in body:
+            raise _refusal(body[OBSTACLES], "is a SPHERE_LIST that no edges hold; expected a SPHERE for each ball")
         stiffness = self._settings.sphere_stiffness if is_ball else 0.0
         nodes = np.concatenate([movable, fixed])
         edges = _joined(number, body[EDGES].points if EDGES in body else np.zeros((0, 3)), nodes)
@@ -222,7 +223,7 @@ def _checked(marker: _Marker, kind: str) -> _Marker:
     if marker.action != _ADD or marker.type not in types:
         expected = "LINE_LIST" if kind == EDGES else "SPHERE or SPHERE_LIST"
         raise _refusal(marker, f"has type {marker.type} and action {marker.action}; expected {expected}, to ADD")
-    if kind in (OBSTACLES, FIXED) and not 0.0 < np.max(marker.scale) < np.inf:
+    if kind in (OBSTACLES, FIXED) and not np.min(marker.scale) >= 0.0 < np.max(marker.scale) < np.inf:
         raise _refusal(marker, f"has scale = {list(marker.scale)}; expected a diameter in m")
     if marker.type != _SPHERE and (any(marker.position) or any(marker.orientation[:3])):
         raise _refusal(marker, "has a pose; expected none, and its points in the frame")

@@ -86,7 +86,7 @@ def goal_in(values: Mapping[str, float]) -> Array | None:
 def places_of(joints: Sequence[str], names: Sequence[str], topic: str) -> NDArray[np.intp]:
     """Where the wanted joints stand among the names in a message, whose order may be any.
 
-    Raises `InputError` if joints are missing; topic, field, the missing names and those that are there are given.
+    Raises `InputError` if joints are missing, or there twice; topic, field and names are given.
     """
     missing = [joint for joint in joints if joint not in names]
     if missing:
@@ -94,6 +94,9 @@ def places_of(joints: Sequence[str], names: Sequence[str], topic: str) -> NDArra
         raise InputError(
             f"{topic}: field name lacks {', '.join(missing)}: it has {found}; expected all of {', '.join(joints)}"
         )
+    twice = [joint for joint in joints if names.count(joint) > 1]
+    if twice:
+        raise InputError(f"{topic}: field name has {', '.join(twice)} more than once; expected each joint once")
     return np.array([names.index(joint) for joint in joints], np.intp)
 
 

@@ -89,7 +89,6 @@ class Sight:
         self._stamp_ns = 0
         """Stamp of the last new state."""
         self._repeated = 0
-        self._has_advanced = False
 
     def advanced(self, stamp_ns: int, v: Array, seen: bool, missing: str, known: bool) -> None:
         """Take a new state.
@@ -108,7 +107,6 @@ class Sight:
             Whether the state came with a torque for each joint.
         """
         self._repeated, self._stamp_ns = 0, stamp_ns
-        self._has_advanced = self._has_advanced or self.rate.steps > 0
         self.rate.update(stamp_ns)
         if seen:
             self._seen_ns, self.blind = stamp_ns, ""
@@ -130,8 +128,7 @@ class Sight:
     def repeated(self) -> bool:
         """Take a state whose stamp is not new; returns whether the stamps have stopped."""
         self._repeated += 1
-        # In bags of earlier versions the first state comes again and again.
-        if self._repeated < STILL or not self._has_advanced:
+        if self._repeated < STILL:
             return False
         self._lose("the stamps of joint_states do not advance: look at the driver's clock")
         return True

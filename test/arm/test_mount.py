@@ -136,6 +136,16 @@ def test_a_tool_weighs_on_a_mounted_arm_as_pinocchio_says(mount):
         np.testing.assert_allclose(found, weights(theirs, q), rtol=0, atol=1e-6)
 
 
+def test_without_a_base_the_arm_begins_at_the_root_and_hangs_there_too(tmp_path):
+    text = urdf(on_root(MOUNTS["ceiling"]))
+    arm = read(tmp_path, text)
+    q = postures(arm)
+    assert arm.base_frame == "root" and arm.gravity == (0.0, 0.0, -9.81)
+    np.testing.assert_allclose(
+        weights(RobotModel(arm).pinocchio, q), weights(pin.buildModelFromXML(text), q), rtol=0, atol=1e-6
+    )
+
+
 def test_a_waist_is_held_and_leans_the_arm(tmp_path):
     waist = joint("waist", ("root", "torso"), "0 0 0.5", axis="0 1 0") + link("torso", 9.0, 0.3)
     text = urdf('<link name="root"/>' + waist + joint("mount", ("torso", "base"), "0 0 0.3", "0.5 0 0.2"))

@@ -1,11 +1,17 @@
 """Derivatives of the Pinocchio model against finite differences, and what `update` promises."""
 
+import locale
+import shutil
+import subprocess
+
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 from arm_simulation import ARM, HOME, REST, random_states
 
 from contact_reach_ros.arm.kinematics import mass_matrix
+from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 
 STEP = 1e-6
@@ -68,3 +74,29 @@ def test_the_mass_matrix_of_the_table_is_the_models(model):
     for q, _ in zip(*random_states(20), strict=True):
         model.update(q, REST)
         np.testing.assert_allclose(mass_matrix(ARM, q), model.mass_matrix, rtol=0, atol=1e-12)
+
+
+@pytest.fixture
+def decimal_comma(tmp_path, monkeypatch):
+    """As in a program that uses the user's language, with Qt or matplotlib."""
+    if not shutil.which("localedef"):
+        pytest.skip("no localedef to make a locale with")
+    (tmp_path / "source").write_text('LC_NUMERIC\ndecimal_point ","\nthousands_sep "."\ngrouping 3\nEND LC_NUMERIC\n')
+    command = ["localedef", "-c", "-i", tmp_path / "source", "-f", "ANSI_X3.4-1968", tmp_path / "comma"]
+    subprocess.run(command, capture_output=True, check=False)
+    monkeypatch.setenv("LOCPATH", str(tmp_path))
+    before = locale.setlocale(locale.LC_NUMERIC)
+    locale.setlocale(locale.LC_NUMERIC, "comma")
+    yield
+    locale.setlocale(locale.LC_NUMERIC, before)
+
+
+def test_a_decimal_comma_changes_no_model(model, decimal_comma):
+    assert locale.localeconv()["decimal_point"] == ","
+    expected = model.gravity_at(HOME)
+    np.testing.assert_array_equal(RobotModel(ARM).gravity_at(HOME), expected)
+    simulated = mujoco.MjModel.from_xml_string(build_mjcf(ARM))
+    data = mujoco.MjData(simulated)
+    data.qpos[:] = HOME
+    mujoco.mj_forward(simulated, data)
+    np.testing.assert_allclose(data.qfrc_bias, expected, atol=1e-6)

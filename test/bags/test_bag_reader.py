@@ -93,6 +93,17 @@ def test_bag_in_several_files_without_metadata(tmp_path: Path) -> None:
     assert "first_2.mcap: is empty" in note
 
 
+def test_names_of_files_and_what_metadata_yaml_says_do_not_count(sample: SampleBag) -> None:
+    """A bag may have been renamed, reindexed or converted."""
+    sample.file.rename(sample.directory / "monday.mcap")
+    entries = "storage_identifier: '', relative_file_paths: [sample/sample_0.mcap.zstd], compression_mode: NONE"
+    for text in (f"rosbag2_bagfile_information: {{{entries}}}", "[", ""):
+        (sample.directory / "metadata.yaml").write_text(text)
+        reader = BagReader(sample.directory)
+        assert [raw.data for raw in reader.raw_messages()] == [data for *_, data in sample.written]
+        assert reader.notes == ()
+
+
 def chunk_ends(path: Path) -> list[int]:
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
@@ -101,14 +112,15 @@ def chunk_ends(path: Path) -> list[int]:
 
 
 @settings(max_examples=30)
-@given(fraction=st.floats(0.0, 1.0, exclude_max=True))
+@given(fraction=st.floats(0.0, 1.0, exclude_max=True), zeros=st.sampled_from([0, 0, 1, 9, 5000]))
 def test_cut_file_is_readable_up_to_the_cut(
-    shared_sample: SampleBag, tmp_path_factory: pytest.TempPathFactory, fraction: float
+    shared_sample: SampleBag, tmp_path_factory: pytest.TempPathFactory, fraction: float, zeros: int
 ) -> None:
+    """Also if zeros follow, as where the power failed before the file system had written the rest."""
     whole = shared_sample.file.read_bytes()
     path = tmp_path_factory.mktemp("cut") / "cut.mcap"
     length = int(fraction * len(whole))
-    path.write_bytes(whole[:length])
+    path.write_bytes(whole[:length] + bytes(zeros))
     if length < 8:
         with pytest.raises(BagError):
             BagReader(path)
@@ -118,7 +130,7 @@ def test_cut_file_is_readable_up_to_the_cut(
     expected = [(topic, received, data) for topic, received, _, _, data in shared_sample.written]
     assert read == expected[: len(read)]
     assert reader.message_count == len(read)
-    assert f"of {length}" in reader.notes[0]
+    assert f"of {length + zeros}" in reader.notes[0]
     # The fixture writes a chunk for every 40 messages, and none of those that are whole may be given up.
     whole_chunks = [end for end in chunk_ends(shared_sample.file) if end <= length]
     assert len(read) == 40 * len(whole_chunks)
@@ -168,6 +180,8 @@ def test_what_cannot_be_decoded_does_not_keep_others_from_being_read(tmp_path: P
             writer.register_channel("/other", "cdr", other),
             writer.register_channel("/json", "json", text),
         ]
+        writer.add_message(writer.register_channel("/any", "json", 0), 0, b"{}", 0)
+        writer.add_attachment(0, 0, "note.txt", "text/plain", b"seen on Monday")
         for time in range(8):
             data = serialize_message(String(data=str(time)))
             writer.add_message(channels[time % 4], time, data, time)
@@ -180,6 +194,7 @@ def test_what_cannot_be_decoded_does_not_keep_others_from_being_read(tmp_path: P
         "/gain' is left out": "no clear definition",
         "/other' is left out": "'protobuf'",
         "/json' is left out": "serialised as json",
+        "/any' is left out": "serialised as json",
         "/text'": "1 messages are no std_msgs/msg/String",
     }.items():
         assert f"topic '{topic}" in notes

@@ -4,7 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import mcap.writer
 import pytest
+import zstandard
 from mcap.records import Message
 from mcap.writer import CompressionType, IndexType, Writer
 
@@ -81,9 +83,27 @@ def test_messages_are_as_written(tmp_path, options):
     assert list(check(tmp_path / "a.mcap", written).notes()) == []
 
 
+def test_compressed_chunks_need_not_tell_their_size(tmp_path, monkeypatch):
+    def compress(data):
+        stream = zstandard.ZstdCompressor(write_content_size=False).compressobj()
+        return stream.compress(data) + stream.flush()
+
+    monkeypatch.setattr(mcap.writer.zstandard, "compress", compress)
+    written = write(tmp_path / "a.mcap", compression=CompressionType.ZSTD)
+    assert list(check(tmp_path / "a.mcap", written).notes()) == []
+
+
 def test_messages_after_the_chunks_are_read_and_counted(tmp_path):
     written = write(tmp_path / "a.mcap", loose_from=COUNT // 2)
     assert list(check(tmp_path / "a.mcap", written).notes()) == []
+
+
+@pytest.mark.parametrize("index_types", [IndexType.ALL, IndexType.ALL & ~IndexType.MESSAGE, IndexType.NONE])
+def test_messages_that_were_all_received_at_0_are_read(tmp_path, index_types):
+    """As a simulation before its clock has begun, or a converter, writes them."""
+    written = write(tmp_path / "a.mcap", astray=dict.fromkeys(range(COUNT), 0), index_types=index_types)
+    file = McapFile(tmp_path / "a.mcap")
+    assert read(file, ["/a", "/b"]) == rows(written) and file.span_ns == (0, 0)
 
 
 @pytest.mark.parametrize("time", [0, (1 << 64) - 5])

@@ -172,3 +172,15 @@ def test_round_trips_are_of_states_that_were_answered(tmp_path: Path) -> None:
         log.flush()
     signals = read_signals(BagReader(tmp_path / "bag"), ARM)
     np.testing.assert_array_equal(signals.answers_ns, np.full(100, 300_000))
+
+
+@pytest.mark.parametrize(("prefix", "effort"), [("", []), ("left_", [0.5] * 7)])
+def test_states_without_torques_or_of_another_robot_leave_gaps(tmp_path: Path, prefix: str, effort: list) -> None:
+    q, names = angles(0.0).tolist(), [f"{prefix}{name}" for name in ARM.joint_names]
+    with BagWriter(tmp_path / "bag", [RecordedTopic("/joint_states", TYPES["joint_states"])]) as writer:
+        state = stamped(0.0, names, position=q, velocity=q, effort=effort)
+        writer.write("/joint_states", serialize_message(state), RECEIVED_0)
+    signals = read_signals(BagReader(tmp_path / "bag"), ARM)
+    np.testing.assert_array_equal(signals.position.values, [q if not prefix else [np.nan] * 7])
+    assert np.isnan(signals.effort.values).all()
+    assert any("has none of the joints lbr_A1" in note for note in signals.notes) is bool(prefix)

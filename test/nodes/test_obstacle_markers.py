@@ -6,14 +6,14 @@ import itertools
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
-from geometry_msgs.msg import Vector3
+from geometry_msgs.msg import Quaternion, Vector3
 from hostile import garbage
 from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.messages.conversions import to_point
+from contact_reach_ros.messages.conversions import to_marker, to_point
 from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter, obstacle_markers
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.planning.settings import PlannerNodeSettings
@@ -120,10 +120,22 @@ SPOILED = [
     (change("text", "stiffness 1 40 -3", "edges"), "edges/2 has text .* expected 138 positive numbers"),
     (lambda message: message.markers.remove(marker(message, "obstacles")), "rest/2 has 44 points; expected 0"),
     (lambda message: message.markers.append(marker(message, "obstacles")), "obstacles/2 comes twice"),
+    (
+        lambda message: message.markers.remove(marker(message, "edges")),
+        "obstacles/2 is .* a SPHERE for each ball",
+    ),
+    (lambda message: message.markers.remove(marker(message, "obstacles", 0)), "rest/0 has 1 points; expected 0"),
+    (change("header.frame_id", ""), "frame_id is ''; expected 'lbr_link_0'"),
+    (change("type", Marker.CYLINDER, "obstacles", 0), "obstacles/0 has type 3 and action 0; expected SPHERE"),
+    (change("action", Marker.DELETEALL, "obstacles", 0), "obstacles/0 has type 2 and action 3; expected .* to ADD"),
+    (change("action", Marker.DELETE, "block", 0), "block/0 has action 2; expected CUBE, to ADD"),
+    (change("pose.position.z", np.inf, "obstacles", 0), "obstacles/0 has point 0 at .*inf"),
     (change("scale", Vector3(), "obstacles", 0), "obstacles/0 has scale"),
+    (change("scale.x", -0.4, "obstacles", 0), "obstacles/0 has scale = .* expected a diameter"),
     (change("pose.position.x", 0.1), "obstacles/2 has a pose"),
     (change("scale.y", 0.0, "block", 0), "block/0 .* size"),
     (change("pose.orientation.w", 3.0, "block", 0), "block/0 .* orientation"),
+    (change("pose.orientation", Quaternion(w=0.0), "block", 0), "block/0 .* expected a unit quaternion"),
 ]
 
 
@@ -158,6 +170,22 @@ def test_obstacles_of_two_namespaces_may_have_one_id():
     message.markers[0].pose.position.x = 0.7
     spheres = reader.read(serialize_message(message))
     assert (spheres.center[0, 0], spheres.rest[0, 0]) == (0.7, 0.6)
+
+
+def test_balls_may_have_any_name_number_and_size():
+    names = [("Hände", 0), ("hand", -1), ("plane", 7), ("block", 7), *(("cloud", number) for number in range(1000))]
+    message = MarkerArray()
+    for place, (namespace, number) in enumerate(names):
+        one = to_marker(namespace, number, Marker.SPHERE, 3 * [50.0 if place == 0 else 0.1], (1, 1, 1, 1))
+        one.header.frame_id, one.pose.position.x, one.text = ARM.base_frame, 0.001 * place, "material: stiffness=100"
+        message.markers.append(one)
+    nothing = to_marker("nothing", 0, Marker.SPHERE_LIST, 3 * [0.1], (1, 1, 1, 1))
+    nothing.header.frame_id = ARM.base_frame
+    message.markers.append(nothing)
+    spheres = new_reader().read(serialize_message(message))
+    assert sorted(spheres.center[:, 0]) == [0.001 * place for place in range(len(names))]
+    assert spheres.radius.max() == 25.0 and set(spheres.stiffness) == {MATERIAL.sphere_stiffness}
+    assert not spheres.environment
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 8])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import rclpy
 from arm_simulation import ARM, HOME, REST, TICK_NS
-from geometry_msgs.msg import Transform, TransformStamped, Vector3
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from plans import make_plan
 from rclpy.serialization import deserialize_message, serialize_message
 from stack_helpers import Published, hand_in, ros, wait_for
@@ -186,6 +187,23 @@ def test_goals_that_came_before_the_planner_was_active_never_move_the_arm(planne
     assert [reason[:37] for reason in reasons] == 2 * ["goal: there is no joint state yet; ex"]
 
 
+def test_goals_as_other_programs_send_them_are_taken(planner):
+    """The orientation of the message does not count by default."""
+    send(planner, topics.OBSTACLES, MarkerArray())
+    zero, unset, undefined = Quaternion(w=0.0), Quaternion(), Quaternion(x=np.nan)
+    for place, frame, seconds, turn in (
+        ((0.5, 0.1, 0.4), "", 0, unset),
+        ((0.5, 0.2, 0.4), ARM.base_frame, 2_147_483_000, unset),
+        ((0.5, 0.3, 0.4), ARM.base_frame, 0, zero),
+        ((0.5, 0.1, 0.5), ARM.base_frame, 0, undefined),
+    ):
+        goal = to_goal_pose(place, frame, Time(sec=seconds))
+        goal.pose.orientation = turn
+        send(planner, topics.GOAL_POSE, goal)
+        assert planner._planner.goal.position == pytest.approx(place)
+    assert not planner.refused
+
+
 def test_an_old_goal_is_refused_and_the_one_in_force_stays(planner):
     send(planner, topics.OBSTACLES, MarkerArray())
     send_goal(planner)
@@ -337,6 +355,9 @@ def test_without_tf2_other_frames_are_refused(planner, monkeypatch):
     send(planner, topics.OBSTACLES, markers)
     assert planner.refused == {"goals": 1, "obstacles": 1}
     assert all("frame 'camera' is unknown; expected 'lbr_link_0'" in line for line in planner.boundary.last_refusals())
+    # As in ROS 1.
+    send(planner, topics.GOAL_POSE, to_goal_pose(GOAL, "/lbr_link_0", to_time(0)))
+    assert "frame '/lbr_link_0' is unknown; expected 'lbr_link_0'" in planner.boundary.last_refusals()[-1]
 
 
 def test_obstacles_of_any_kind_are_where_they_were_seen(transforming):

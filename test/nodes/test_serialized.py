@@ -65,8 +65,13 @@ def test_other_names_or_counts_are_noticed_though_the_size_is_the_same():
     reader = JointStateReader(NAMES, "joint_states")
     message = joint_state(NAMES, random)
     state = reader.read(serialize_message(message))
-    with pytest.raises(InputError, match="name lacks lbr_A7"):
-        reader.read(serialize_message(joint_state([*NAMES[:6], "lbr_A8"], random)))
+    for names in ([*NAMES[:6], "lbr_A8"], NAMES[:6], []):
+        with pytest.raises(InputError, match=r"name lacks .*lbr_A7: it has .*; expected all"):
+            reader.read(serialize_message(joint_state(names, random)))
+    # Which of the two values is right nobody knows.
+    with pytest.raises(InputError, match="name has lbr_A1 more than once"):
+        reader.read(serialize_message(joint_state(["lbr_A1", *NAMES], random)))
+    reader.read(serialize_message(joint_state([*NAMES, "finger", "finger"], random)))
     first = message.position.tolist()
     message.velocity, message.effort = [0.0] * 6, [0.0] * 8
     with pytest.raises(InputError, match="velocity has 6 values"):

@@ -160,7 +160,10 @@ def test_another_rate_that_can_be_watched_keeps_the_arm_from_being_started_but_d
     assert "joint states come at 500 Hz, expected 1000 Hz" in report.verdict.doubt
 
 
-def test_stamps_that_stop_make_it_blind_and_ones_that_go_on_make_it_see(watched):
+@pytest.mark.parametrize("before", [0, 1, HANDED_OVER])
+def test_stamps_that_stop_make_it_blind_and_ones_that_go_on_make_it_see(before):
+    watched = Watched()
+    watched.run(before)
     state = watched.state()
     watched.observer.update(state)
     reports = [watched.observer.update(state) for _ in range(STILL)]

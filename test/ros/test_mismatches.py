@@ -72,10 +72,11 @@ def test_a_subscription_that_does_not_hear_the_node_is_named(bench):
 @pytest.mark.parametrize("qos", [KEPT, PLAIN], ids=["latched", "volatile"])
 def test_what_fits_is_no_mismatch(bench, qos):
     bench.listen(topics.OBSTACLES)
+    bench.listen(topics.GOAL_POSE)
     bench.listen(topics.JOINT_STATES, NEWEST)
-    publishers = [
-        bench.other.create_publisher(topic.type, topic.name, qos) for topic in (topics.OBSTACLES, topics.JOINT_STATES)
-    ]
+    heard = [(topic, qos) for topic in (topics.OBSTACLES, topics.GOAL_POSE, topics.JOINT_STATES)]
+    heard.append((topics.JOINT_STATES, BEST_EFFORT))
+    publishers = [bench.other.create_publisher(topic.type, topic.name, offered) for topic, offered in heard]
     own = bench.node.create_publisher(MarkerArray, "plan/markers", KEPT)
     _subscription = bench.other.create_subscription(MarkerArray, "plan/markers", print, qos)
     bench.until(lambda: all(publisher.get_subscription_count() for publisher in (*publishers, own)))

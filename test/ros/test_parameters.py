@@ -17,6 +17,8 @@ observer:
       gain: 50
       coulomb_friction: [1e-1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1]
       torque_offset: [0, 0.5, 0, 0, 0, 0, 0]
+      viscous_friction: [1, 1, 1, 1, 1, 1, 1]
+      gravity_in_torque: off
 """
 
 
@@ -41,6 +43,8 @@ def test_a_node_has_them_in_its_namespace(arguments, monkeypatch):
         try:
             assert node.get_parameter("momentum.gain").value == 50
             assert node.get_parameter("momentum.torque_offset").value[:2] == [0.0, 0.5]
+            assert node.settings["momentum"].viscous_friction == (1.0,) * 7
+            assert node.settings["momentum"].gravity_in_torque is False
             assert node.get_parameter("use_sim_time").value is True
         finally:
             node.destroy_node()

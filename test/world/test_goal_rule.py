@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
 from plans import StayingCore
+from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import JointState, link_frames
 from contact_reach_ros.errors import ContactReachError, InputError
@@ -56,3 +57,36 @@ def test_poses_of_postures_are_attained():
             check_goal(ARM, Target(origins[-1], rotations[-1]), (), HOME)
         except InputError as error:
             assert "deep in lbr_link_0" in str(error)
+
+
+TURN = np.array([0.1, 0.7, -0.1, 0.7])
+TURN /= np.linalg.norm(TURN)
+
+
+@pytest.mark.parametrize(
+    "quaternion", [TURN, -TURN, 1.0005 * TURN, np.float32(TURN), TURN.round(4), TURN.round(3)], ids=repr
+)
+def test_quaternions_are_those_of_one_orientation_whatever_their_sign_and_rounding(quaternion):
+    target = Goal(NEAR, quaternion).resolve(ARM, np.eye(3))
+    assert target.angle(Rotation.from_quat(TURN).as_matrix()) < 2e-3
+
+
+@pytest.mark.parametrize("quaternion", [0.0 * TURN, 2.0 * TURN, TURN * np.nan, TURN[:3], [0.0, 0.0, 0.7, 0.7, 0.0]])
+def test_what_is_no_unit_quaternion_is_refused(quaternion):
+    with pytest.raises(InputError, match=r"goal: orientation = .*; expected .*unit quaternion x, y, z, w"):
+        Goal(NEAR, quaternion).resolve(ARM, np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("position", "said"),
+    [
+        ((500.0, 100.0, 350.0), r"position is \d+\.\d+ m from the shoulder .* the arm reaches 0.85 m"),
+        ((1.5, 0.0, 0.3), r"position is 1.501 m from the shoulder"),
+        ((0.0, 0.0, 0.1), "position = .* lies inside the base"),
+        ((np.nan, 0.0, 0.3), "position = .* expected finite numbers in m"),
+        ((0.5, 0.1), "position = .* expected three numbers x, y, z in m"),
+    ],
+)
+def test_what_is_no_place_for_the_tip_is_refused(position, said):
+    with pytest.raises(InputError, match=f"goal: {said}"):
+        Goal(position).resolve(ARM, np.eye(3))
