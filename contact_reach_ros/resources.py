@@ -112,7 +112,8 @@ def write_text(file: Path, text: str) -> None:
     """Write a file that an option names, in a new folder if need be; raises `InputError` if it cannot be written."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text, encoding="utf-8")
+        # Names of files need not be text.
+        file.write_text(text, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
         raise InputError(f"'{file}' cannot be written: {error.strerror}; name a file in a folder of yours") from error
 

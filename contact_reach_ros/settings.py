@@ -259,7 +259,7 @@ def read_yaml(file: Path) -> dict[str, Any]:
     file.
     """
     try:
-        content = parse_yaml(file.read_text())
+        content = parse_yaml(file.read_text("utf-8"))
     except OSError as error:
         raise SettingsError(f"{file}: cannot be read ({error.strerror}); give the path of a YAML file") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:

@@ -1,10 +1,12 @@
 """The command line as a whole; what its commands do is tested with them."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from contact_reach_command import contact_reach
 
 SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
@@ -22,6 +24,22 @@ def test_it_ends_without_a_word_where_nobody_reads_its_output() -> None:
     os.close(writing)
     _, errors = process.communicate(timeout=300)
     assert (process.returncode, errors) == (1, "")
+
+
+@pytest.mark.parametrize("name", [b"b\xc3\xa4r", b"b\xe4r"])
+def test_a_report_needs_no_home_and_no_text_beyond_ascii(name: bytes, tmp_path: Path) -> None:
+    """The folder's name is an umlaut in UTF-8 and in Latin-1."""
+    folder = tmp_path / os.fsdecode(name)
+    shutil.copytree(SAMPLE, folder / "sample")
+    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
+    env = {key: value for key, value in os.environ.items() if key not in ("HOME", "XDG_CACHE_HOME", "DISPLAY")}
+    result = subprocess.run(
+        [sys.executable, "-m", "contact_reach_ros.cli", "report", folder / "sample", "--json", folder / "r.json"],
+        env=env | ascii_only,
+        capture_output=True,
+    )
+    assert (result.returncode, result.stderr) == (0, b""), result
+    assert (folder / "sample.html").stat().st_size > 1_000_000 and (folder / "r.json").is_file()
 
 
 def test_view_passes_on_what_is_given_and_no_bag_for_the_running_stack(monkeypatch):

@@ -49,7 +49,7 @@ def robot_of_mjcf(file: Path) -> tuple[Element, list[str]]:
 
 
 def _in_folder(file: Path) -> mujoco.MjSpec:
-    spec = mujoco.MjSpec.from_string(file.read_text())
+    spec = mujoco.MjSpec.from_string(file.read_text("utf-8"))
     spec.modelfiledir = str(file.parent)
     return spec
 

@@ -53,7 +53,7 @@ class RobotModel:
         self.arm = arm
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "arm.xml"
-            file.write_text(build_mjcf(arm, inertia_set))
+            file.write_text(build_mjcf(arm, inertia_set), "utf-8")
             self.pinocchio: pin.Model = pin.buildModelFromMJCF(str(file))
         # Pinocchio reads no gravity in MJCF.
         self.pinocchio.gravity.linear = np.array(arm.gravity)

@@ -111,7 +111,7 @@ def arm_model(arm: Arm) -> ArmModel:
     What Brax has read from an MJCF is kept in the user's cache, since importing Brax takes longer than planning starts.
     """
     text = build_mjcf(arm)
-    parts = (text, arm.digest, importlib.metadata.version("brax"), Path(__file__).read_text())
+    parts = (text, arm.digest, importlib.metadata.version("brax"), Path(__file__).read_text("utf-8"))
     return kept(parts, lambda: read_arm(arm, load_system(text)))
 
 
