@@ -280,24 +280,22 @@ def read_signals(
     sparse: dict[str, list[tuple[int, Any]]] = {name: [] for name in _SPARSE}
     other = _of_other_types(bag)
     unread: Counter[str] = Counter()
-    take: dict[str, Callable[[bytes], Any]] = {
-        "diagnostics": lambda data: list(_missed_ticks(data)) or None,
-        "intake/controller": lambda data: _extend(answered, *_answered(data)),
-        "plan/statistics": lambda data: list(_plans(data)),
+    take: dict[str, Callable[[RawMessage], Any]] = {
+        "diagnostics": lambda raw: list(_missed_ticks(raw.data)) or None,
+        "goal/state": lambda raw: bag.decode(raw) if _REFUSED.encode() in raw.data else None,
+        "intake/controller": lambda raw: _extend(answered, *_answered(raw.data)),
+        "plan/statistics": lambda raw: list(_plans(raw.data)),
     }
-    skip: dict[str, Callable[[bytes], bool]] = {"goal/state": lambda data: _REFUSED.encode() not in data}
     if watch is not None:
-        skip["safety_state"] = _Repeated()
+        is_repeated = _Repeated()
+        take["safety_state"] = lambda raw: None if is_repeated(raw.data) else bag.decode(raw)
 
     def few(name: str, messages: Messages) -> None:
         """Keep of each message what is needed; those that cannot be decoded are left out, as notes say."""
         for _, *row in messages.tolist():
             raw = RawMessage(f"/{name}", *row)
             try:
-                if name in take:
-                    taken = take[name](raw.data)
-                else:
-                    taken = None if name in skip and skip[name](raw.data) else bag.decode(raw)
+                taken = take.get(name, bag.decode)(raw)
             except (struct.error, ValueError):
                 unread[name] += 1
                 continue
@@ -463,6 +461,8 @@ def _plans(data: bytes) -> Iterator[_Plan]:
 
 def _answered(data: bytes) -> np.ndarray:
     """Of the joint states in a record of the controller's inputs the number of the next command, and sending, ns."""
+    if not data.startswith(PLAIN_CDR + NO_LAYOUT):
+        raise ValueError("not in plain CDR, little-endian, or with a layout")
     (count,) = COUNT.unpack_from(data, HEADER + len(NO_LAYOUT))
     batch = np.frombuffer(data, "<i8", count, ARRAY_START)
     rows = batch[1:].reshape(-1, len(COLUMNS)) if count % len(COLUMNS) == 1 else np.zeros((0, len(COLUMNS)), int)

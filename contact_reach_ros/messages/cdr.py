@@ -68,13 +68,13 @@ class Cursor:
 
     def text(self) -> str:
         """A text."""
-        start, end = self.skip(1)
-        return bytes(self.data[start : max(start, end - 1)]).decode()
+        return self.texts(1)[0].decode()
 
     def texts(self, count: int) -> list[bytes]:
         """So many texts, undecoded."""
         data, at, found = self.data, self.at, []
         for _ in range(count):
+            # As `aligned`, whose call would take as long as the rest.
             start = (at + 3 & -4) + COUNT.size
             at = start + COUNT.unpack_from(data, start - COUNT.size)[0]
             found.append(bytes(data[start : at - 1]))

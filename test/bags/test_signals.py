@@ -154,6 +154,18 @@ def test_topics_of_other_types_are_left_out_with_a_note(tmp_path: Path) -> None:
     assert any("goal_pose: is std_msgs/msg/Float64MultiArray, expected geometry" in note for note in signals.notes)
 
 
+@pytest.mark.parametrize(
+    ("topic", "data"), [("plan/statistics", b"\0\1\0\0\1"), ("diagnostics", b"\0\0\0\0" + bytes(20))]
+)
+def test_statuses_that_cannot_be_read_are_counted(tmp_path: Path, topic: str, data: bytes) -> None:
+    with BagWriter(tmp_path / "bag", [RecordedTopic(f"/{topic}", TYPES[topic])]) as writer:
+        for _ in range(3):
+            writer.write(f"/{topic}", data, RECEIVED_0)
+    assert (
+        f"{topic}: 3 messages cannot be read and are left out" in read_signals(BagReader(tmp_path / "bag"), ARM).notes
+    )
+
+
 def test_round_trips_are_of_states_that_were_answered(tmp_path: Path) -> None:
     """The first state comes again until the controller starts, which takes it a second."""
     types = {**TYPES, "intake/controller": "std_msgs/msg/Int64MultiArray"}
