@@ -13,7 +13,9 @@ from contact_reach_ros.planning.settings import PlanningSettings
 SMALL = PlanningSettings(deadline=0.0, population=16, max_steps=2)
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "joint_torque")) for name in METHODS]
+)
 def test_every_name_makes_a_method(name):
     method = make_method(load_arm(), name, capacity=0, permitted_force=10.0, seed=1, settings=SMALL)
     assert method.controller(load_arm(), method.settings).stop_reason == ""

@@ -56,6 +56,7 @@ def page(tmp_path_factory):
             assert browser.errors == []
 
 
+@pytest.mark.slow
 def test_a_goal_is_sent_on_click_only_and_followed(page):
     page.wait_for_text("✔ reachable")
     page.fill("Goal (m)", "2")
