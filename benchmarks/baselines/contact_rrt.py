@@ -63,7 +63,7 @@ class PredictedForce:
     def __init__(self, arm: Arm, spheres: Spheres, contact_stiffness: float) -> None:
         self._arm = arm
         self._centers, self._radii = single(spheres.rest.T[:, :, None]), single(spheres.radius[:, None])
-        compliance = np.diag(Network(spheres).compliance) + 1.0 / contact_stiffness if len(spheres) else np.zeros(0)
+        compliance = Network(spheres).softness + 1.0 / contact_stiffness if len(spheres) else np.zeros(0)
         self._stiffness = single((1.0 / compliance)[:, None] if len(spheres) else np.zeros((0, 1)))
         self._is_empty = not len(spheres)
 

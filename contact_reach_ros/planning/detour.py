@@ -161,7 +161,7 @@ class Detours:
         arm, q, spheres, permitted = self.arm, request.q, request.spheres, self.permitted_force
         softness = np.zeros(0)
         if len(spheres):
-            softness = 1.0 / self.settings.contact_stiffness + np.diag(Network(spheres).compliance)
+            softness = 1.0 / self.settings.contact_stiffness + Network(spheres).softness
         best, least = None, np.inf
         for posture in _postures(arm, q, request.goal, detour):
             length = float(np.linalg.norm(posture - q))

@@ -16,12 +16,12 @@ from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.world.collision import (
     COLLISION_TOLERANCE,
-    body_distances,
     capsule_segments,
     clearances,
     nearest,
+    nearest_of,
 )
-from contact_reach_ros.world.rigid import Block, Environment, Plane, RigidBody
+from contact_reach_ros.world.rigid import Block, Environment, Plane
 from contact_reach_ros.world.spheres import Spheres
 
 _FAR_AWAY = (0.0, 0.0, -100.0)
@@ -65,8 +65,10 @@ class ObstacleReader:
             return None
         kept = np.arange(count)
         if count > self._capacity:
+            apart = clearances(self._arm, q, spheres)
+            near = np.flatnonzero(apart <= np.partition(apart, self._capacity - 1)[self._capacity - 1])
             # Sorted, so that a sphere keeps its index for as long as it is kept.
-            kept = np.sort(np.argsort(clearances(self._arm, q, spheres), kind="stable")[: self._capacity])
+            kept = np.sort(near[np.argsort(apart[near], kind="stable")[: self._capacity]])
         if self._network is None or not self._network.same_as(spheres):
             self._network, self._modes = Network(spheres), None
         if self._modes is None or not np.array_equal(kept, self._kept):
@@ -100,16 +102,24 @@ class Network:
 
     def __init__(self, spheres: Spheres) -> None:
         self._spheres = spheres
-        stiffness = np.diag(spheres.stiffness)
-        first, second = spheres.edges.T
-        np.add.at(stiffness, (first, first), spheres.edge_stiffness)
-        np.add.at(stiffness, (second, second), spheres.edge_stiffness)
-        np.add.at(stiffness, (first, second), -spheres.edge_stiffness)
-        np.add.at(stiffness, (second, first), -spheres.edge_stiffness)
-        self.stiffness = stiffness
-        """(K, K) L, N/m."""
-        self.compliance = np.linalg.inv(stiffness)
-        """(K, K) L⁻¹, m/N."""
+        joined, ends = np.unique(spheres.edges, return_inverse=True)
+        stiffness = np.diag(spheres.stiffness[joined])
+        first, second = ends.reshape(-1, 2).T
+        for one, other, sign in ((first, first, 1), (second, second, 1), (first, second, -1), (second, first, -1)):
+            np.add.at(stiffness, (one, other), sign * spheres.edge_stiffness)
+        self._joined, self._compliance = joined, np.linalg.inv(stiffness)
+        self.softness = np.zeros(len(spheres))
+        """(K,) displacement of each sphere under a force on itself alone, m/N."""
+        self.softness[joined] = np.diag(self._compliance)
+        np.divide(1.0, spheres.stiffness, out=self.softness, where=self.softness == 0.0)
+
+    def compliance(self, moved: NDArray[np.intp], pushed: NDArray[np.intp]) -> Array:
+        """Part (M, P) of L⁻¹, m/N: displacements of the spheres `moved` (M,) under forces on `pushed` (P,)."""
+        part = (moved[:, None] == pushed) * self.softness[pushed]
+        rows, columns = np.isin(moved, self._joined), np.isin(pushed, self._joined)
+        places = (np.searchsorted(self._joined, each) for each in (moved[rows], pushed[columns]))
+        part[np.ix_(rows, columns)] = self._compliance[np.ix_(*places)]
+        return part
 
     def same_as(self, spheres: Spheres) -> bool:
         """Whether the spheres, wherever they are, form this network."""
@@ -121,9 +131,10 @@ class Network:
     def modes(self, kept: NDArray[np.intp], capacity: int) -> Modes:
         """Modes of the network condensed to the spheres `kept`, filled up to `capacity` with unconnected spheres."""
         # Displacement of all spheres when the kept ones are displaced and forces act on those alone.
-        stiffness = np.linalg.inv(self.compliance[np.ix_(kept, kept)])
-        followers = self.compliance[:, kept] @ stiffness
-        damping = followers.T @ (self._spheres.damping[:, None] * followers)
+        stiffness = np.linalg.inv(self.compliance(kept, kept))
+        moved = np.union1d(kept, self._joined)
+        followers = self.compliance(moved, kept) @ stiffness
+        damping = followers.T @ (self._spheres.damping[moved, None] * followers)
         rates, shapes = scipy.linalg.eigh(0.5 * (stiffness + stiffness.T), 0.5 * (damping + damping.T))
         missing = capacity - len(kept)
         return Modes(
@@ -143,16 +154,9 @@ _DEEPER = 1e-3
 
 def nearest_bodies(arm: Arm, q: Array, environment: Environment) -> Bodies:
     """The bodies nearest to the arm at joint angles `q` (n,), rad, as compiled programs take them."""
-    planes = tuple(body for body in environment if isinstance(body, Plane))
-    blocks = tuple(body for body in environment if isinstance(body, Block))
-    if len(planes) > PLANES or len(blocks) > BLOCKS:
-        starts, ends = capsule_segments(arm, q)
-
-        def distance(body: RigidBody) -> float:
-            return float(body_distances(body, starts, ends).min())
-
-        planes = tuple(sorted(planes, key=distance)[:PLANES])
-        blocks = tuple(sorted(blocks, key=distance)[:BLOCKS])
+    segments = capsule_segments(arm, q)
+    planes = nearest_of(tuple(body for body in environment if isinstance(body, Plane)), PLANES, *segments)
+    blocks = nearest_of(tuple(body for body in environment if isinstance(body, Block)), BLOCKS, *segments)
     planes += (Plane("", (0.0, 0.0, -_AWAY)),) * (PLANES - len(planes))
     blocks += (Block("", (0.0, 0.0, -_AWAY), (1.0, 1.0, 1.0)),) * (BLOCKS - len(blocks))
     return Bodies(

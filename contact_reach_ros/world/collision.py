@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from contact_reach_ros.arm.capsules import (
 from contact_reach_ros.arm.inverse_kinematics import is_attainable
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.rigid import Environment, Plane, RigidBody
+from contact_reach_ros.world.rigid import Block, Environment, Plane, RigidBody, point_distances
 from contact_reach_ros.world.spheres import Spheres
 
 GOAL_CLEARANCE = 0.005
@@ -29,6 +29,8 @@ COLLISION_TOLERANCE = 0.002
 """Predicted depth in a rigid body, or of the arm in itself, up to which a motion is accepted, m: capsules are rounder
 than links."""
 _SAMPLES, _ROUNDS = 17, 3
+
+_Body = TypeVar("_Body", Plane, Block)
 
 
 class Nearest(NamedTuple):
@@ -52,19 +54,40 @@ def nearest(arm: Arm, q: Array, environment: Environment) -> list[Nearest]:
     The list is empty if there is nothing that could touch.
     """
     pairs = self_pairs(arm)
-    columns = [pair_distances(arm, q, np.array(pairs))] if pairs else []
+    links = range(len(arm.base_capsules), len(shapes(arm)))
     names = [(shape_name(arm, second), shape_name(arm, first)) for first, second in pairs]
-    starts, ends = shape_segments(arm, q)
     # The base does not move: the bodies that it stands on or beside are no concern of it.
-    links = moving(arm)
-    for body in environment:
-        columns.append(body_distances(body, starts[:, links], ends[:, links]) - shape_radii(arm)[links])
-        names += [(shape_name(arm, shape), f"the {body.name}") for shape in range(links.start, len(shapes(arm)))]
-    if not columns:
+    names += [(shape_name(arm, shape), f"the {body.name}") for body in environment for shape in links]
+    if not names:
         return []
-    distances = np.concatenate(columns, axis=1)
+    own = pair_distances(arm, q, np.array(pairs)) if pairs else np.full((len(q), 0), np.inf)
+    starts, ends = (points[:, moving(arm)] for points in shape_segments(arm, q))
+    radii = shape_radii(arm)[moving(arm)]
+    middles, slack = _middle_distances(environment, starts, ends)
+    limit = np.minimum((middles - radii).min(axis=(0, 2), initial=np.inf), own.min(axis=1, initial=np.inf))
+    # All others are farther than the nearest, whichever of their points is nearest.
+    candidates = middles - slack - radii <= limit[:, None]
+    for index in np.flatnonzero(candidates.any(axis=(1, 2))):
+        chosen = candidates[index]
+        middles[index, chosen] = body_distances(environment[index], starts[chosen], ends[chosen])
+    distances = np.concatenate([own, *(middles - radii)], axis=1)
     which = distances.argmin(axis=1)
     return [Nearest(float(row[index]), *names[index]) for row, index in zip(distances, which, strict=True)]
+
+
+def nearest_of(bodies: tuple[_Body, ...], count: int, starts: Array, ends: Array) -> tuple[_Body, ...]:
+    """The `count` bodies that are nearest to any of the segments from `starts` to `ends`, (C, 3) each, m."""
+    if len(bodies) <= count:
+        return bodies
+    middles, slack = _middle_distances(bodies, starts[None], ends[None])
+    limit = np.sort(middles.min(axis=(1, 2)))[count - 1]
+    candidates = [bodies[index] for index in np.flatnonzero((middles - slack).min(axis=(1, 2)) <= limit)]
+    return tuple(sorted(candidates, key=lambda body: float(body_distances(body, starts, ends).min()))[:count])
+
+
+def _middle_distances(environment: Environment, starts: Array, ends: Array) -> tuple[Array, Array]:
+    """Distances (B, N, C) of segments' middles from the bodies, and by how much (N, C) their ends may be nearer, m."""
+    return point_distances(environment, 0.5 * (starts + ends)), 0.5 * np.linalg.norm(ends - starts, axis=-1)
 
 
 def body_distances(body: RigidBody, starts: Array, ends: Array) -> Array:
@@ -74,13 +97,13 @@ def body_distances(body: RigidBody, starts: Array, ends: Array) -> Array:
     From a plane it is that of an end.
     """
     if isinstance(body, Plane):
-        return np.minimum(body.distances(starts), body.distances(ends))
+        return np.minimum(*(point_distances((body,), points)[0] for points in (starts, ends)))
     low, high = np.zeros(starts.shape[:-1]), np.ones(starts.shape[:-1])
     grid = np.linspace(0.0, 1.0, _SAMPLES)
     for _ in range(_ROUNDS):
         shares = low[..., None] + grid * (high - low)[..., None]
         points = starts[..., None, :] + shares[..., None] * (ends - starts)[..., None, :]
-        distances = body.distances(points)
+        distances = point_distances((body,), points)[0]
         best = np.take_along_axis(shares, distances.argmin(axis=-1)[..., None], axis=-1)[..., 0]
         step = (high - low) / (_SAMPLES - 1)
         low, high = np.maximum(best - step, 0.0), np.minimum(best + step, 1.0)
@@ -99,10 +122,13 @@ def overlap_depths(arm: Arm, starts: Array, ends: Array, centers: Array, radius:
     `starts` and `ends`, (..., C, 3) each, m, belong to the moving links' capsules, or to all `shapes`; `centers` are
     (K, 3), m, and `radius` is one for all spheres or (K,), m.
     """
-    axis = (ends - starts)[..., None, :]
-    offset = centers - starts[..., None, :]
-    share = np.clip(np.sum(offset * axis, axis=-1) / np.sum(axis * axis, axis=-1), 0.0, 1.0)
-    distance = np.linalg.norm(offset - share[..., None] * axis, axis=-1)
+    axes = ends - starts
+    lengths = (axes * axes).sum(axis=-1)[..., None]
+    # Squares are multiplied out: products of matrices take a fifth of the time of arrays (..., C, K, 3).
+    along = axes @ centers.T - (axes * starts).sum(axis=-1)[..., None]
+    squares = (centers**2).sum(axis=-1) - 2.0 * (starts @ centers.T) + (starts**2).sum(axis=-1)[..., None]
+    share = np.clip(along / lengths, 0.0, 1.0)
+    distance = np.sqrt(np.maximum(squares + share * (share * lengths - 2.0 * along), 0.0))
     # The moving links' capsules are the last of the shapes.
     return shape_radii(arm)[-starts.shape[-2] :, None] + radius - distance
 

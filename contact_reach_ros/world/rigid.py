@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -44,10 +45,6 @@ class Plane:
     def offset(self) -> float:
         """Distance of the plane from the origin along its normal, m."""
         return float(np.dot(self.normal, self.point))
-
-    def distances(self, points: Array) -> Array:
-        """Distances (...) of points (..., 3) from the surface, m; negative inside."""
-        return points @ np.array(self.normal) - self.offset
 
     def moved(self, rotation: Array, origin: Array) -> Plane:
         """The plane of another frame, which has a rotation (3, 3) and an origin (3,), m, in the base frame."""
@@ -96,12 +93,6 @@ class Block:
         """(3,) half of its size, m."""
         return 0.5 * np.array(self.size)
 
-    def distances(self, points: Array) -> Array:
-        """Distances (...) of points (..., 3) from the surface, m; negative inside."""
-        beyond = np.abs((points - np.array(self.center)) @ self.axes) - self.half
-        outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
-        return outside + np.minimum(beyond.max(axis=-1), 0.0)
-
     def moved(self, rotation: Array, origin: Array) -> Block:
         """As `Plane.moved`."""
         turn = Rotation.from_matrix(rotation) * Rotation.from_quat(self.orientation)
@@ -111,6 +102,36 @@ class Block:
 RigidBody = Plane | Block
 Environment = tuple[RigidBody, ...]
 """Everything rigid around the arm."""
+
+
+def point_distances(environment: Environment, points: Array) -> Array:
+    """Distances (B, ...) of points (..., 3) from the surface of each body, m; negative inside."""
+    planes, normals, offsets, blocks, centers, axes, halves = _stacked(environment)
+    flat = points.reshape(-1, 3)
+    distances = np.empty((len(environment), len(flat)))
+    if len(planes):
+        distances[planes] = normals @ flat.T - offsets
+    if len(blocks):
+        beyond = np.abs((flat - centers) @ axes) - halves
+        outside = np.sqrt((np.maximum(beyond, 0.0) ** 2).sum(axis=-1))
+        distances[blocks] = outside + np.minimum(beyond.max(axis=-1), 0.0)
+    return distances.reshape(len(environment), *points.shape[:-1])
+
+
+@functools.lru_cache(maxsize=16)
+def _stacked(environment: Environment) -> tuple[Array, ...]:
+    """Index, normal and offset of the planes; index, center, axes and half size of the blocks."""
+    planes = [(index, body) for index, body in enumerate(environment) if isinstance(body, Plane)]
+    blocks = [(index, body) for index, body in enumerate(environment) if isinstance(body, Block)]
+    return (
+        np.array([index for index, _ in planes], int),
+        np.array([plane.normal for _, plane in planes]),
+        np.array([[plane.offset] for _, plane in planes]),
+        np.array([index for index, _ in blocks], int),
+        np.array([[block.center] for _, block in blocks]),
+        np.array([block.axes for _, block in blocks]),
+        np.array([[block.half] for _, block in blocks]),
+    )
 
 
 _SLAB = (3.0, 3.0, 0.02)

@@ -24,7 +24,7 @@ from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.scenes.placing import free_path, path_segments
 from contact_reach_ros.world.collision import overlap_depths
-from contact_reach_ros.world.rigid import Block, Plane
+from contact_reach_ros.world.rigid import Block, Plane, point_distances
 from contact_reach_ros.world.scene import NO_MISMATCH
 from contact_reach_ros.world.scene_file import read_scene
 
@@ -274,7 +274,7 @@ class TestWhereScenesStand:
             assert np.linalg.norm(target - own.shoulder) < stood.reach
             (floor,) = scene.environment
             np.testing.assert_allclose(floor.normal, frame.rotation[:, 2], atol=1e-12)
-            assert floor.distances(scene.target) == pytest.approx(target[2] + 0.1)
+            assert point_distances(scene.environment, scene.target) == pytest.approx(target[2] + 0.1)
             path = free_path(RobotModel(stood), scene.start, scene.target)
             np.testing.assert_allclose(link_frames(stood, path[-1])[1][-1], scene.target, rtol=0, atol=1e-3)
             for ball in scene.obstacles:
@@ -305,4 +305,5 @@ def test_rigid_bodies_move_with_the_frame():
     points = random.uniform(-1.0, 1.0, (50, 3))
     for body in (Plane("wall", (0.1, 0.2, 0.3), (1.0, 2.0, -1.0)), Block("box", (0.1, 0.2, 0.3), (0.2, 0.3, 0.6))):
         moved = body.moved(rotation, origin)
-        np.testing.assert_allclose(moved.distances(points @ rotation.T + origin), body.distances(points), atol=1e-12)
+        expected, found = point_distances((body,), points), point_distances((moved,), points @ rotation.T + origin)
+        np.testing.assert_allclose(found, expected, atol=1e-12)

@@ -1,5 +1,7 @@
 """Spheres: which ones are refused, and what becomes of too many and too few."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
@@ -7,6 +9,7 @@ from arm_simulation import ARM, HOME
 from contact_reach_ros.arm import rotation_about
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.planning.obstacles import ObstacleReader
+from contact_reach_ros.world.collision import clearances
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 
@@ -57,3 +60,16 @@ def test_the_angle_from_a_goal_is_that_of_what_counts():
     assert axis.angle(across @ about) == pytest.approx(0.4)
     assert axis.angle(rotation_about((1, 0, 0), np.pi)) == pytest.approx(np.pi)
     assert Target(np.ones(3)).angle(across) == 0.0
+
+
+def test_a_cloud_of_many_points_is_read_without_matrices_of_its_size():
+    center = np.random.default_rng(0).uniform(-1.0, 1.0, (20_000, 3))
+    size = np.ones(len(center))
+    cloud = Spheres(center, center, 0.01 * size, 100.0 * size, 5.0 * size)
+    tracemalloc.start()
+    obstacles = ObstacleReader(ARM, 12).read(HOME, cloud)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1000 * len(center)
+    nearest = np.sort(np.argsort(clearances(ARM, HOME, cloud))[:12])
+    np.testing.assert_allclose(obstacles.center[:, :, 0].T, center[nearest], atol=1e-6)

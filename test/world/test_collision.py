@@ -6,14 +6,15 @@ import re
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
+from scipy.spatial.transform import Rotation
 from six_axis import SIX_AXIS
 
 from contact_reach_ros.arm import link_frames, rotation_about
-from contact_reach_ros.arm.capsules import self_pairs, shape_radii, shape_segments, shapes
+from contact_reach_ros.arm.capsules import moving, self_pairs, shape_radii, shape_segments, shapes
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.world.collision import GOAL_CLEARANCE, body_distances, check_hand, nearest
+from contact_reach_ros.world.collision import GOAL_CLEARANCE, body_distances, check_hand, nearest, nearest_of
 from contact_reach_ros.world.goal import Target
-from contact_reach_ros.world.rigid import Block, Plane
+from contact_reach_ros.world.rigid import Block, Plane, point_distances
 
 DOWN = link_frames(ARM, HOME)[0][-1]
 TABLE = Block("table", (0.5, 0.0, 0.1), (0.4, 0.6, 0.2))
@@ -41,13 +42,35 @@ def test_the_distance_of_a_segment_is_that_of_its_nearest_point(body):
     random = np.random.default_rng(0)
     starts, ends = random.uniform(-0.6, 0.6, (2, 200, 3))
     shares = np.linspace(0.0, 1.0, 2001)[:, None, None]
-    sampled = body.distances(starts + shares * (ends - starts)).min(axis=0)
+    sampled = point_distances((body,), starts + shares * (ends - starts))[0].min(axis=0)
     np.testing.assert_allclose(body_distances(body, starts, ends), sampled, atol=1e-3)
 
 
 def test_depth_in_a_block_is_that_to_its_nearest_face():
-    assert TABLE.distances(np.array([0.5, 0.0, 0.17])) == pytest.approx(-0.03)
-    assert TABLE.distances(np.array([0.8, 0.0, 0.3])) == pytest.approx(np.hypot(0.1, 0.1))
+    assert point_distances((TABLE,), np.array([0.5, 0.0, 0.17])) == pytest.approx(-0.03)
+    assert point_distances((TABLE,), np.array([0.8, 0.0, 0.3])) == pytest.approx(np.hypot(0.1, 0.1))
+
+
+def test_of_many_bodies_the_nearest_are_those_of_a_search_in_each():
+    random = np.random.default_rng(1)
+    boxes = [
+        Block(f"box {k}", random.uniform((-0.8, -0.8, 0.0), (0.8, 0.8, 1.0)), random.uniform(0.02, 0.3, 3), turn)
+        for k, turn in enumerate(Rotation.random(20, random_state=0).as_quat())
+    ]
+    bodies = (Plane("floor", (0.0, 0.0, -0.1)), *boxes)
+    q = random.uniform(ARM.lower, ARM.upper, (200, ARM.n))
+    starts, ends = (points[:, moving(ARM)] for points in shape_segments(ARM, q))
+    radii = shape_radii(ARM)[moving(ARM)]
+    expected = np.array([(body_distances(body, starts, ends) - radii).min(axis=1) for body in bodies])
+    found = nearest(ARM, q, bodies)
+    own = np.array([pair.distance for pair in nearest(ARM, q, ())])
+    np.testing.assert_array_equal([pair.distance for pair in found], np.minimum(expected.min(axis=0), own))
+    named = {f"the {body.name}" for body in bodies}
+    assert len({pair.other for pair in found} & named) > 10
+    for posture in range(20):
+        apart = [body_distances(box, starts[posture], ends[posture]).min() for box in boxes]
+        by_hand = [boxes[index] for index in np.argsort(apart)[:2]]
+        assert list(nearest_of(tuple(boxes), 2, starts[posture], ends[posture])) == by_hand
 
 
 def test_the_nearest_pair_is_named_with_its_distance():
