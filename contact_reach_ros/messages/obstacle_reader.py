@@ -223,7 +223,7 @@ def _checked(marker: _Marker, kind: str) -> _Marker:
     if marker.action != _ADD or marker.type not in types:
         expected = "LINE_LIST" if kind == EDGES else "SPHERE or SPHERE_LIST"
         raise _refusal(marker, f"has type {marker.type} and action {marker.action}; expected {expected}, to ADD")
-    if kind in (OBSTACLES, FIXED) and not np.min(marker.scale) >= 0.0 < np.max(marker.scale) < np.inf:
+    if kind in (OBSTACLES, FIXED) and not (all(0.0 <= side < np.inf for side in marker.scale) and any(marker.scale)):
         raise _refusal(marker, f"has scale = {list(marker.scale)}; expected a diameter in m")
     if marker.type != _SPHERE and (any(marker.position) or any(marker.orientation[:3])):
         raise _refusal(marker, "has a pose; expected none, and its points in the frame")
