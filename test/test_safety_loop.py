@@ -282,7 +282,12 @@ DRIVERS = {
     "all zero": (None, np.zeros(ARM.n), Mode.HOLDING, ""),
     "inside a limit": (None, near_limit(0.01), Mode.HOLDING, ""),
     "beyond a limit": (None, near_limit(-0.02), Mode.WAITING, "lbr_A4 beyond the position limit"),
-    "in degrees": (lambda state, t: state._replace(q=np.rad2deg(state.q)), HOME, Mode.WAITING, WEIGHT),
+    "in degrees": (
+        lambda state, t: state._replace(q=np.rad2deg(state.q)),
+        HOME,
+        Mode.WAITING,
+        "beyond the position limit",
+    ),
     "rounded": (lambda state, t: state._replace(q=HOME.round(3), v=np.zeros(ARM.n)), HOME, Mode.HOLDING, ""),
     "in motion": (turning(0.3), HOME, Mode.HOLDING, ""),
     "in fast motion": (turning(1.2), HOME, Mode.STOPPED, "times its permitted speed"),
@@ -320,7 +325,7 @@ def test_states_as_drivers_give_them_let_the_arm_be_held_or_are_named(change, po
         except InputError as error:
             refused = str(error)
     assert controller.mode is mode
-    named = controller.stop_reason or controller.not_vouched or refused
+    named = controller.stop_reason or refused or controller.not_vouched
     assert re.search(said, named) if said else not named
     torques = np.array([each for each in sent if each is not None]).reshape(-1, ARM.n)
     assert np.isfinite(torques).all() and (len(torques) > 0) is (mode is not Mode.WAITING)

@@ -163,7 +163,7 @@ class Controller:
         if not self.started:
             self.not_vouched = self.supervisor.not_vouched(clock_ns)
             if self.not_vouched:
-                check_state(self.arm, q, v)
+                check_start(self.arm, q, v)
                 self.state = state
                 return None
             if self.not_yet:

@@ -294,7 +294,10 @@ def check_start(arm: Arm, q: Array, v: Array) -> None:
     beyond = (q < arm.lower) | (q > arm.upper)
     if beyond.any():
         names = [name for name, is_beyond in zip(arm.joint_names, beyond, strict=True) if is_beyond]
-        raise InputError(f"joint_states: {', '.join(names)} beyond the position limit; move the arm back by hand")
+        raise InputError(
+            f"joint_states: {', '.join(names)} beyond the position limit, at {q[beyond].round(3).tolist()} rad; move the "
+            "arm back by hand, or let the driver send rad"
+        )
 
 
 def check_state(arm: Arm, q: Array, v: Array) -> None:

@@ -165,5 +165,5 @@ def test_a_joint_beyond_its_position_limit_stops_the_arm_and_keeps_it_stopped(su
     q[joint] -= 1e-3
     supervisor.watch_joints(q, REST)
     assert f"{ARM.joint_names[joint]} at {q[joint]:.3f} rad is beyond its position limit" in supervisor.stop_reason
-    with pytest.raises(InputError, match="beyond the position limit; move the arm back by hand"):
+    with pytest.raises(InputError, match=r"beyond the position limit, at .* rad; move the arm back by hand"):
         supervisor.check_reset(q, REST, 0)
