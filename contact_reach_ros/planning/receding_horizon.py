@@ -118,6 +118,7 @@ class RecedingHorizonPlanner:
         self._evaluate = jax.jit(self._roll_out)
         self.memory: Memory | None = None
         self._number = 0
+        self._last_check_s = 0.0
 
     def warm_up(self, progress: Callable[[str], None]) -> None:
         """Compile every program that `plan` needs; `progress` is called with a line for the user at each stage.
@@ -190,8 +191,9 @@ class RecedingHorizonPlanner:
         self._reset_if_jumped(q, state_ns)
         last = None if self.memory is None else self.memory.request
         request = self._detours.target(request._replace(q=q, v=v), last)
-        # The search of a posture takes longer than a plan.
-        until = time.perf_counter() + self._settings.deadline if self._settings.deadline > 0.0 else math.inf
+        # The search of a posture takes longer than a plan. What comes after the solver counts as it took last time.
+        deadline = self._settings.deadline
+        until = time.perf_counter() + deadline - self._last_check_s if deadline > 0.0 else math.inf
         obstacles = self._obstacles.read(q, spheres)
         timestep = self._settings.knot_duration / self._settings.substeps
         hold = self._hold(q)
@@ -211,6 +213,7 @@ class RecedingHorizonPlanner:
                 f"no motion from q = {q.tolist()}, v = {v.tolist()} has a finite cost: expected a state that the arm "
                 "can be in and obstacles that do not swallow it; the plan in force runs out into a hold"
             )
+        solved = time.perf_counter()
         rollout, terms = self._evaluate(problem, _pair(solution.best))
         predicted_q = np.asarray(rollout.q)[..., 0].astype(float)
         try:
@@ -219,6 +222,8 @@ class RecedingHorizonPlanner:
             # Where every plan ends like this the arm makes no progress, and a detour is due.
             self.memory = None if memory is None else memory._replace(request=request)
             raise
+        finally:
+            self._last_check_s = time.perf_counter() - solved
         self._number += 1
         plan = self._plan_of(solution, rollout, terms, request, begin, before)
         earlier = () if memory is None else memory.trajectories[1 - _PLANS_KEPT :]

@@ -21,7 +21,7 @@ ROTATION_BOUND = POSTURE_BOUND = 0.2
 class PlanningSettings(Settings):
     """Everything that shapes a plan except the permitted contact force, which belongs to the contact budget."""
 
-    horizon: int = setting(3, "H of (4): number of knots in a plan", minimum=1, maximum=10)
+    horizon: int = setting(3, "H of (4): number of knots in a plan", minimum=1, maximum=12)
     knot_duration: float = setting(0.1, "time for which one knot is in force", unit="s", minimum=0.01, maximum=0.5)
     substeps: int = setting(4, "steps of the transfer model per knot", minimum=1, maximum=20)
     pipeline: str = setting(
