@@ -17,28 +17,40 @@ from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions, sp
 SEED = 0
 
 
-pytestmark = pytest.mark.slow
+def run(name, scene, goal, timeout, until_settled):
+    """How a method ends with what the nodes run, without deadlines."""
+    shipped, force = preset("shipped", scene.arm), cr.ContactBudget().permitted_force
+    planning = dataclasses.replace(shipped.planning, deadline=0.0)
+    method = make_method(scene.arm, name, sphere_capacity(scene), force, SEED, planning, shipped.controller)
+    stack = cr.Stack(scene, **shipped._replace(controller=method.settings)._asdict(), planner=method.planner)
+    return stack.run(goal, timeout=timeout, until_settled=until_settled)
 
 
 @pytest.fixture(scope="module")
 def results():
-    """How the method and reference posture end in the wall scene with what the nodes run, without deadlines."""
-    scene, found = cr.load_scene("wall", arm=ARM, seed=SEED), {}
-    shipped, force = preset("shipped", ARM), cr.ContactBudget().permitted_force
-    planning = dataclasses.replace(shipped.planning, deadline=0.0)
-    for name in ("contact_reach", "reference_posture"):
-        method = make_method(ARM, name, sphere_capacity(scene), force, SEED, planning, shipped.controller)
-        stack = cr.Stack(scene, **shipped._replace(controller=method.settings)._asdict(), planner=method.planner)
-        found[name] = stack.run(cr.Goal(scene.target), timeout=12.0, until_settled=name == "contact_reach")
-    return found
+    """How the method and reference posture end in the wall scene."""
+    scene = cr.load_scene("wall", arm=ARM, seed=SEED)
+    names, goal = ("contact_reach", "reference_posture"), cr.Goal(scene.target)
+    return {name: run(name, scene, goal, 12.0, until_settled=name == "contact_reach") for name in names}
 
 
+def test_the_planner_settles_at_a_fruit_where_reference_posture_does_not():
+    scene = cr.load_scene("plant", seed=17)
+    goal = cr.Goal(scene.target, orientation="free")
+    ours = run("contact_reach", scene, goal, 8.0, until_settled=True)
+    assert ours.settled and ours.max_contact_force <= cr.ContactBudget().permitted_force
+    theirs = run("reference_posture", scene, goal, 8.0, until_settled=True)
+    assert not theirs.settled and not theirs.stop_reason
+
+
+@pytest.mark.slow
 def test_the_planner_settles_at_a_goal_behind_walls_and_presses_less_than_half_as_hard_as_reference_posture(results):
     ours, theirs = results["contact_reach"], results["reference_posture"]
     assert ours.reached and ours.settled
     assert 0.0 < ours.max_contact_force < 0.5 * theirs.max_contact_force
 
 
+@pytest.mark.slow
 def test_contact_is_what_makes_that_goal_reachable(results):
     scene = cr.load_scene("wall", arm=ARM, seed=SEED)
     spheres = obstacle_spheres(scene, rest_positions(scene))
