@@ -25,12 +25,15 @@ class Part:
     """The code of one of the two functions: that of uniform numbers, or that of the others."""
 
     def __init__(self, result: Symbol, lanes: int, stored: dict[Scope, dict[Number, int]] | None = None) -> None:
-        """`lanes` is 1 for the uniform numbers, which need those that the other part has `stored`."""
+        """With the numbers that the other part needs `stored`, this is the part of uniform numbers.
+
+        They are vectors too, of equal lanes: scalars take as long, and to select one of two takes a jump.
+        """
         self.lanes = lanes
         self.is_uniform = stored is not None
         self.stored: dict[Scope, dict[Number, int]] = {} if stored is None else stored
-        self.type = "float" if self.is_uniform else f"<{lanes} x float>"
-        self.mask = "i1" if self.is_uniform else f"<{lanes} x i1>"
+        self.type = f"<{lanes} x float>"
+        self.mask = f"<{lanes} x i1>"
         self.lines: list[str] = []
         self.slots: list[str] = []
         self._names: dict[Number, str] = {}
@@ -147,10 +150,10 @@ class Part:
 
     def constant(self, value: Symbol) -> str:
         if isinstance(value, bool):
-            return str(value).lower() if self.is_uniform else f"splat (i1 {str(value).lower()})"
+            return f"splat (i1 {str(value).lower()})"
         with np.errstate(over="ignore"):
             bits = int(np.float64(np.float32(value)).view(np.uint64))
-        return f"0x{bits:016X}" if self.is_uniform else f"splat (float 0x{bits:016X})"
+        return f"splat (float 0x{bits:016X})"
 
     def name(self, symbol: Symbol) -> str:
         """How code refers to a number."""
@@ -158,10 +161,13 @@ class Part:
             return self.constant(symbol)
         if symbol.is_uniform == self.is_uniform:
             return self._names[symbol]
-        scalar = self.write(f"load float, ptr {self.slot(symbol)}")
-        first = self.write(f"insertelement {self.type} poison, float {scalar}, i32 0")
-        value = self.write(f"shufflevector {self.type} {first}, {self.type} poison, <{self.lanes} x i32> zeroinitializer")
+        value = self.spread(self.write(f"load float, ptr {self.slot(symbol)}"))
         return self.write(f"fcmp une {self.type} {value}, zeroinitializer") if symbol.is_mask else value
+
+    def spread(self, scalar: str) -> str:
+        """A vector of equal lanes."""
+        first = self.write(f"insertelement {self.type} poison, float {scalar}, i32 0")
+        return self.write(f"shufflevector {self.type} {first}, {self.type} poison, <{self.lanes} x i32> zeroinitializer")
 
     def slot(self, number: Number) -> str:
         """Address of a stored number of this round."""
@@ -187,8 +193,9 @@ class Part:
             if self.is_uniform and isinstance(item, Number) and item in self.stored.get(scope, ()):
                 value = self._names[item]
                 if item.is_mask:
-                    value = self.write(f"uitofp i1 {value} to float")
-                self.lines.append(f"  store float {value}, ptr {self.slot(item)}")
+                    value = self.write(f"select {self.mask} {value}, {self.type} {self.constant(1.0)}, {self.type} {self.constant(0.0)}")
+                first = self.write(f"extractelement {self.type} {value}, i32 0")
+                self.lines.append(f"  store float {first}, ptr {self.slot(item)}")
 
     def loop(self, loop: Scope) -> None:
         own, live = _id(loop), self._of(loop)
@@ -201,15 +208,16 @@ class Part:
                 self.put(value, self.write(f"getelementptr {self.type}, ptr {slot}, i64 {index}"))
         for place in live["stacked"]:
             self.reserve(f"%s{own}_{place}", loop.length)
+        # A pointer that each round moves on: LLVM takes minutes over addresses that are computed from the round's number.
+        size, outer = len(self.stored.get(loop, ())), loop.parent
+        first = self.write(f"mul i64 %round{_id(outer)}, {loop.length * size}") if outer and outer.parent else "0"
+        self.lines += [f"  %first{own} = getelementptr float, ptr %base{own}, i64 {first}"] if size else []
         self.lines += [f"  br label %before{own}", f"before{own}:", f"  br label %loop{own}", f"loop{own}:"]
         self.lines.append(f"  %n{own} = phi i64 [0, %before{own}], [%m{own}, %end{own}]")
-        index, outer = f"%n{own}", loop.parent
-        if outer is not None and outer.parent is not None:
-            index = self.write(f"add i64 {self.write(f'mul i64 %linear{_id(outer)}, {loop.length}')}, {index}")
-        self.lines.append(f"  %linear{own} = add i64 {index}, 0")
-        if loop in self.stored:
-            start = self.write(f"mul i64 %linear{own}, {len(self.stored[loop])}")
-            self.lines.append(f"  %store{own} = getelementptr float, ptr %base{own}, i64 {start}")
+        if size:
+            self.lines.append(f"  %store{own} = phi ptr [%first{own}, %before{own}], [%next{own}, %end{own}]")
+        above = self.write(f"mul i64 %round{_id(outer)}, {loop.length}") if outer and outer.parent else "0"
+        self.lines.append(f"  %round{own} = add i64 {above}, %n{own}")
         self.block(loop)
         ends = [self.name(loop.end[place]) for place in live["carry"]]
         for place, end in zip(live["carry"], ends, strict=True):
@@ -218,6 +226,7 @@ class Part:
             slot = self.write(f"getelementptr {self.type}, ptr %s{own}_{place}, i64 %n{own}")
             self.put(loop.stacked[place], slot)
         self.lines += [f"  br label %end{own}", f"end{own}:", f"  %m{own} = add i64 %n{own}, 1"]
+        self.lines += [f"  %next{own} = getelementptr float, ptr %store{own}, i64 {size}"] if size else []
         self.lines += [f"  %again{own} = icmp ult i64 %m{own}, {loop.length}"]
         self.lines += [f"  br i1 %again{own}, label %loop{own}, label %after{own}", f"after{own}:"]
 
@@ -243,7 +252,7 @@ class Part:
                 return self.get(self.write(f"getelementptr {own}, ptr %s{_id(loop)}_{place}, i64 {index}"))
             case "given":
                 array = self.write(f"load ptr, ptr {self.write(f'getelementptr ptr, ptr %given, i64 {extra[0]}')}")
-                return self.get(self.write(f"getelementptr float, ptr {array}, i64 {extra[1]}"))
+                return self.spread(self.write(f"load float, ptr {self.write(f'getelementptr float, ptr {array}, i64 {extra[1]}')}"))
             case "lane":
                 place = self.write(f"mul i64 %stride, {extra}")
                 return self.get(self.write(f"getelementptr float, ptr %x, i64 {place}"))
@@ -255,8 +264,7 @@ class Part:
         if op in ("max", "min"):
             return self.extreme(number, args)
         if op in _INTRINSICS:
-            suffix = "f32" if self.is_uniform else f"v{self.lanes}f32"
-            return self.write(f"call {_FLAGS} {own} @llvm.{_INTRINSICS[op]}.{suffix}({own} {args[0]})")
+            return self.write(f"call {_FLAGS} {own} @llvm.{_INTRINSICS[op]}.v{self.lanes}f32({own} {args[0]})")
         match op:
             case "neg":
                 return self.write(f"fneg {_FLAGS} {own} {args[0]}")
@@ -285,14 +293,12 @@ class Part:
 
     def library(self, op: str, args: list[str]) -> str:
         """A function of the C library, lane by lane."""
-        if self.is_uniform:
-            return self.write(f"call float @{op}f({', '.join(f'float {each}' for each in args)})")
         value = "poison"
-        for lane in range(self.lanes):
-            scalars = [self.write(f"extractelement {self.type} {each}, i32 {lane}") for each in args]
-            called = self.write(f"call float @{op}f({', '.join(f'float {each}' for each in scalars)})")
+        for lane in range(1 if self.is_uniform else self.lanes):
+            scalars = [f"float {self.write(f'extractelement {self.type} {each}, i32 {lane}')}" for each in args]
+            called = self.write(f"call float @{op}f({', '.join(scalars)})")
             value = self.write(f"insertelement {self.type} {value}, float {called}, i32 {lane}")
-        return value
+        return self.spread(called) if self.is_uniform else value
 
 
 def _id(scope: Scope) -> int:
@@ -306,7 +312,7 @@ def module(result: Symbol, root: Scope, lanes: int, arguments: int, version: tup
     result has (B,).
     """
     vectors = Part(result, lanes)
-    uniform = Part(result, 1, vectors.stored)
+    uniform = Part(result, lanes, vectors.stored)
     vectors.order(root, [result])
     uniform.block(root)
     vectors.block(root)
@@ -321,8 +327,8 @@ def module(result: Symbol, root: Scope, lanes: int, arguments: int, version: tup
     lines += ["define internal void @vectors(ptr %memory, ptr noalias %x, ptr noalias %y, i64 %stride) noinline {", "entry:"]
     lines += [*bases, *vectors.slots, *vectors.lines, "  ret void", "}"]
     lines += [_HANDLER.format(size=max(place, 1), arguments=arguments, pointers=arguments + 1, major=version[0], minor=version[1], lanes=lanes)]
-    for suffix, kind in (("f32", "float"), (f"v{lanes}f32", f"<{lanes} x float>")):
-        lines += [f"declare {kind} @llvm.{name}.{suffix}({kind})" for name in _INTRINSICS.values()]
+    kind = f"<{lanes} x float>"
+    lines += [f"declare {kind} @llvm.{name}.v{lanes}f32({kind})" for name in _INTRINSICS.values()]
     lines += [f"declare float @{name}f({'float, float' if name in ('atan2', 'pow') else 'float'})" for name in sorted(_LIBM)]
     return "\n".join(lines)
 
