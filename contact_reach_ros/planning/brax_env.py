@@ -203,9 +203,7 @@ class _World:
             return jnp.zeros((links, len(force)), force.dtype)
         q, _ = self.joints(state)
         displacement, _ = self.spheres(state)
-        start, segment = (
-            points[:, :, None] for points in place_capsules(self.arm, link_frames(self.arm, q))
-        )
+        start, segment = (points[:, :, None] for points in place_capsules(self.arm, link_frames(self.arm, q)))
         to_sphere = (self.obstacles.rest + displacement.T)[:, None] - start
         share = jnp.clip(dot(to_sphere, segment) / dot(segment, segment), 0.0, 1.0)
         gap = share[None] * segment - to_sphere

@@ -22,22 +22,21 @@ from jax.extend.core import Literal
 
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.planning.lanes.emit import module
-from contact_reach_ros.planning.lanes.evaluate import Evaluation
-from contact_reach_ros.planning.lanes.symbols import UnknownPrimitiveError
+from contact_reach_ros.planning.lanes.trace import Trace, UnknownOperationError
 from contact_reach_ros.planning.settings import XLA
-from contact_reach_ros.resources import cache_directory
+from contact_reach_ros.resources import VERSION, cache_directory
 
 _log = logging.getLogger(__name__)
 
 Function = Callable[[Any, jax.Array], jax.Array]
-"""(B,) of what is the same for all candidates, any tree of numbers, and of candidates (n, B)."""
+"""(B,) of what is the same for all candidates, any tree of arrays, and of candidates (n, B)."""
 
 
 def by_lanes(function: Function, backend: str) -> Function:
-    """The function, compiled for the CPU that it is called on, for use inside of programs of JAX.
+    """The function, compiled for the CPU that it runs on; programs of JAX may call it, but not differentiate it.
 
-    It stays as it is for another device, with the backend "xla", and, with a warning, where it has an operation that
-    the compiler does not know. The compiled one cannot be differentiated.
+    It stays what it is, for XLA to compile, on another device, with the backend "xla", and where it has an operation
+    that the compiler does not know, of which a warning tells.
     """
 
     @functools.cache
@@ -48,90 +47,90 @@ def by_lanes(function: Function, backend: str) -> Function:
         given = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
         try:
             return _target(jax.make_jaxpr(of_one)(given, jax.ShapeDtypeStruct((size, 1), jnp.float32)))
-        except UnknownPrimitiveError as error:
-            _log.warning("%s; the cost runs in XLA, which takes three times as long", error)
+        except UnknownOperationError as error:
+            _log.warning("%s: XLA compiles it, and plans take two to three times as long", error)
             return None
 
-    def call(given: Any, points: jax.Array) -> jax.Array:
+    def call(given: Any, candidates: jax.Array) -> jax.Array:
         if backend == XLA or jax.default_backend() != "cpu":
-            return function(given, points)
+            return function(given, candidates)
         leaves, tree = jax.tree.flatten(given)
         leaves = [jnp.asarray(leaf, jnp.float32) for leaf in leaves]
-        name = target(tree, tuple(leaf.shape for leaf in leaves), points.shape[0])
+        name = target(tree, tuple(leaf.shape for leaf in leaves), len(candidates))
         if name is None:
-            return function(given, points)
-        count = points.shape[1]
-        filled = jnp.pad(points, ((0, 0), (0, -count % _lanes())))
-        result = jax.ShapeDtypeStruct(filled.shape[1:], jnp.float32)
-        values: jax.Array = jax.ffi.ffi_call(name, result)(*leaves, filled)
+            return function(given, candidates)
+        count = candidates.shape[1]
+        filled = jnp.pad(candidates, ((0, 0), (0, -count % _lanes())))
+        values: jax.Array = jax.ffi.ffi_call(name, jax.ShapeDtypeStruct(filled.shape[1:], jnp.float32))(*leaves, filled)
         return values[:count]
 
     return call
 
 
+_engines: dict[str, llvm.ExecutionEngine] = {}
+"""Hold the code that XLA may call until the process ends, by its name."""
+
+
 def _target(jaxpr: Any) -> str:
-    """Name under which XLA finds the compiled function of a closed jaxpr, whose last argument is a candidate (n, 1)."""
-    key = hashlib.sha256(f"{llvmlite.__version__} {_sources()} {_cpu()} {_lanes()}".encode())
-    _fingerprint(jaxpr, key)
+    """The name under which XLA finds the compiled function of a closed jaxpr; its last argument is one candidate."""
+    key = hashlib.sha256(f"{VERSION} {llvmlite.__version__} {jax.__version__} {_cpu()}".encode())
+    _digest(jaxpr, key)
     name = f"contact_reach_{key.hexdigest()[:32]}"
     if name not in _engines:
         code = _kept(name, lambda: _machine().emit_object(llvm.parse_assembly(_module(jaxpr))))
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
-        _engines[name] = engine
         address = ctypes.c_void_p(engine.get_function_address("handler"))
         jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(address), platform="cpu")
+        _engines[name] = engine
     return name
 
 
-_engines: dict[str, llvm.ExecutionEngine] = {}
-"""What holds the code, by the name of the function; XLA calls it until the process ends."""
-
-
 def _module(jaxpr: Any) -> str:
-    *given, candidate = (variable.aval for variable in jaxpr.jaxpr.invars)
-    evaluation = Evaluation(jaxpr, given, candidate)
-    return module(evaluation.result, evaluation.graph.root, _lanes(), len(given), _interface_version())
+    """LLVM code of a closed jaxpr, for the version of the interface that the installed JAX has."""
+    header = (Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h").read_text(encoding="utf-8")
+    major, minor = re.findall(r"#define XLA_FFI_API_(?:MAJOR|MINOR) (\d+)", header)
+    return module(Trace(jaxpr), _lanes(), len(jaxpr.jaxpr.invars) - 1, (int(major), int(minor)))
 
 
-def _fingerprint(jaxpr: Any, key: Any) -> None:
-    """Everything that a closed jaxpr computes, into a hash."""
+def _digest(closed: Any, key: Any) -> None:
+    """All that a closed jaxpr computes, into a hash, in a tenth of the time that its text takes."""
     names: dict[Any, int] = {}
 
-    def name(variable: Any) -> str:
+    def name(variable: Any) -> object:
         if isinstance(variable, Literal):
-            return f"{variable.val!r}" if np.ndim(variable.val) == 0 else f"{np.asarray(variable.val).tolist()}"
-        return str(names.setdefault(variable, len(names)))
+            return np.asarray(variable.val).tolist()
+        return names.setdefault(variable, len(names)), variable.aval.shape, variable.aval.dtype.name
 
-    def digest(closed: Any) -> None:
-        own = closed.jaxpr
-        key.update(f"{[(name(each), str(each.aval)) for each in (*own.constvars, *own.invars)]}".encode())
-        for constant in closed.consts:
-            key.update(np.asarray(constant).tobytes())
-        for equation in own.eqns:
-            key.update(f"{equation.primitive.name} {[name(each) for each in equation.invars]}".encode())
-            for option, value in equation.params.items():
-                if hasattr(value, "jaxpr"):
-                    digest(value)
-                elif not callable(value):
-                    key.update(f"{option} {value}".encode())
-            key.update(f"{[(name(each), str(each.aval)) for each in equation.outvars]}".encode())
-        key.update(f"{[name(each) for each in own.outvars]}".encode())
+    def add(*parts: Any) -> None:
+        key.update(repr(parts).encode())
 
-    digest(jaxpr)
+    jaxpr = closed.jaxpr
+    add(
+        [name(each) for each in (*jaxpr.constvars, *jaxpr.invars)],
+        [np.asarray(each).tolist() for each in closed.consts],
+    )
+    for equation in jaxpr.eqns:
+        add(equation.primitive.name, [name(each) for each in (*equation.invars, *equation.outvars)])
+        for option, value in equation.params.items():
+            if hasattr(value, "jaxpr"):
+                _digest(value, key)
+            elif not callable(value):
+                add(option, value)
+    add([name(each) for each in jaxpr.outvars])
 
 
 def _kept(name: str, make: Callable[[], bytes]) -> bytes:
-    """The code of this name out of the user's cache, else made and kept there; code that is damaged is made anew."""
+    """Code out of the user's cache; it is made, and kept there, if it is not there or damaged."""
     try:
-        file = cache_directory() / f"{name}.lanes"
+        file = cache_directory() / name
     except ContactReachError:
         return make()
     with contextlib.suppress(OSError):
-        digest, code = (content := file.read_bytes())[:32], content[32:]
-        if digest == hashlib.sha256(name.encode() + code).digest():
-            return code
+        content = file.read_bytes()
+        if content[:32] == hashlib.sha256(name.encode() + content[32:]).digest():
+            return content[32:]
     code = make()
     with contextlib.suppress(OSError):
         new = file.with_suffix(f".{os.getpid()}")
@@ -144,8 +143,8 @@ def _kept(name: str, make: Callable[[], bytes]) -> bytes:
 def _cpu() -> tuple[str, str]:
     """Name and features of this CPU, as LLVM has them."""
     features = llvm.get_host_cpu_features()
-    # Else vectors of 16 lanes would be two of 8 on some CPUs.
-    return llvm.get_host_cpu_name(), ",".join((features.flatten(), "-prefer-256-bit") if features.get("avx512f") else (features.flatten(),))
+    # LLVM would halve vectors of 16 lanes on some CPUs.
+    return llvm.get_host_cpu_name(), features.flatten() + ",-prefer-256-bit" * features.get("avx512f", False)
 
 
 @functools.cache
@@ -161,19 +160,3 @@ def _machine() -> llvm.TargetMachine:
     llvm.initialize_native_asmprinter()
     name, features = _cpu()
     return llvm.Target.from_default_triple().create_target_machine(cpu=name, features=features, opt=2, jit=True)
-
-
-@functools.cache
-def _interface_version() -> tuple[int, int]:
-    """Version of XLA's foreign function interface in the JAX that is installed."""
-    header = (Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h").read_text(encoding="utf-8")
-    major, minor = (re.search(rf"#define XLA_FFI_API_{part} (\d+)", header) for part in ("MAJOR", "MINOR"))
-    assert major is not None and minor is not None
-    return int(major[1]), int(minor[1])
-
-
-@functools.cache
-def _sources() -> str:
-    """Hash of this compiler."""
-    files = sorted(Path(__file__).parent.glob("*.py"))
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()

@@ -1,381 +1,327 @@
-"""LLVM code of a function's numbers: what is the same in all lanes first, once, then a vector of lanes at a time."""
+"""LLVM code of a function's numbers: first of those that are the same in all lanes, then of the others, block by block.
+
+A block has a vector register's lanes. Both parts are straight-line code in loops, depth first, so that few numbers are
+alive at a time. The first part stores what the second one needs, for each round of the loops that it is in.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.planning.lanes.symbols import Number, Scope, Symbol
+from contact_reach_ros.planning.lanes.graph import COMPARISONS, LOGIC, Memory, Number, Scope, Symbol, is_mask
+from contact_reach_ros.planning.lanes.trace import LIBRARY, Trace
 
 _FLAGS = "nsz arcp contract"
-"""Rounding may differ by how multiplications and additions are fused; NaN and infinity are as in IEEE 754."""
+"""Products may be fused with sums; NaN and infinity stay what they are, and sums keep their order, which the rounding of
+angles to turns relies on."""
 
-_ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul"}
-_COMPARISON = {"gt": "ogt", "lt": "olt", "ge": "oge", "le": "ole", "eq": "oeq", "ne": "une"}
-_INTRINSICS = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "roundeven": "roundeven", "abs": "fabs"}
-_LIBM = {*"exp expm1 log log1p sin cos tan asin acos atan atan2 sinh cosh tanh pow".split()}
-_MOVES = ("carry", "final", "item", "stacked", "given", "lane")
+_ARITHMETIC = {"add": "fadd", "subtract": "fsub", "multiply": "fmul"}
+_INTRINSICS = ("sqrt", "floor", "ceil", "rint", "fabs")
+_TWO = ("atan2", "pow")
 
-Item = Number | Scope
+Stored = dict[Scope, dict[Number, int]]
+"""Places of the uniform numbers that the other part needs, by the scope that they are in."""
 
 
 class Part:
-    """The code of one of the two functions: that of uniform numbers, or that of the others."""
+    """One of the two parts, in `lines`; `slots` reserves its memory.
 
-    def __init__(self, result: Symbol, lanes: int, stored: dict[Scope, dict[Number, int]] | None = None) -> None:
-        """With the numbers that the other part needs `stored`, this is the part of uniform numbers.
+    Parameters
+    ----------
+    trace
+        The function's numbers.
+    lanes
+        Of a vector. Uniform numbers are vectors too: single ones take as long, and to choose one of two takes a jump.
+    stored
+        What the other part needs, for that of the uniform numbers.
+    """
 
-        They are vectors too, of equal lanes: scalars take as long, and to select one of two takes a jump.
-        """
-        self.lanes = lanes
-        self.is_uniform = stored is not None
-        self.stored: dict[Scope, dict[Number, int]] = {} if stored is None else stored
-        self.type = f"<{lanes} x float>"
-        self.mask = f"<{lanes} x i1>"
+    def __init__(self, trace: Trace, lanes: int, stored: Stored | None = None) -> None:
+        self._lanes, self._type, self._mask = lanes, f"<{lanes} x float>", f"<{lanes} x i1>"
+        self._is_uniform = stored is not None
+        self.stored: Stored = {} if stored is None else stored
         self.lines: list[str] = []
         self.slots: list[str] = []
-        self._names: dict[Number, str] = {}
-        self._count = 0
-        self._label = "entry"
-        self._live: dict[Scope, dict[str, list[int]]] = {}
-        self._needed: dict[Number, None] = {}
-        self._find_live([] if self.is_uniform else [result])
-        self._orders: dict[Scope, tuple[list[Item], list[Number]]] = {}
+        self._names: dict[Any, str] = {}
+        self._live: dict[Scope, dict[Memory, None]] = {}
+        self._orders: dict[Scope, tuple[list[Any], list[Number]]] = {}
+        self._result = None if self._is_uniform else trace.result
+        self._loops = trace.loops
+        self._find_live()
+        self._block(trace.root)
+        if not self._is_uniform:
+            self._put(trace.result, "%y")
 
-    def _own(self, symbol: Symbol) -> bool:
-        return isinstance(symbol, Number) and symbol.is_uniform == self.is_uniform
-
-    def _find_live(self, results: list[Symbol]) -> None:
-        """Which numbers of this part are needed, and which carried, listed and stacked numbers of loops."""
-        pending = [*results, *(number for numbers in self.stored.values() for number in numbers)]
+    def _find_live(self) -> None:
+        """What is needed: memories of loops, and numbers of the other part, which it has to store."""
+        pending = [self._result, *(number for numbers in self.stored.values() for number in numbers)]
+        done: set[Number] = set()
         while pending:
             number = pending.pop()
-            if not isinstance(number, Number) or number in self._needed:
+            if not isinstance(number, Number) or number in done:
                 continue
-            if number.is_uniform != self.is_uniform:
-                numbers = self.stored.setdefault(number.scope, {})
-                numbers.setdefault(number, len(numbers))
+            done.add(number)
+            scope = number.scope
+            if number.is_uniform != self._is_uniform:
+                numbers = self.stored.setdefault(scope, {})
+                numbers[number] = len(numbers)
                 continue
-            self._needed[number] = None
             pending += number.args
-            if number.op in ("carry", "item"):
-                loop, place = number.scope, number.extra
-                pending += [loop.start[place], loop.end[place]] if number.op == "carry" else loop.items[place]
-            elif number.op == "final":
-                loop, place = number.extra
-                pending += [loop.carry[place]]
-            elif number.op == "stacked":
-                loop, place, _ = number.extra
-                pending += [loop.stacked[place]]
-        for number in self._needed:
-            self._enter(number.scope)
-            if number.op in ("carry", "item"):
-                self._of(number.scope)[number.op].append(number.extra)
-            if number.op == "stacked":
-                places = self._of(number.extra[0])["stacked"]
-                if number.extra[1] not in places:
-                    places.append(number.extra[1])
-        for parts in self._live.values():
-            for places in parts.values():
-                places.sort()
-        if self.is_uniform:
-            for scope in self.stored:
-                self._enter(scope)
+            if number.op == "read":
+                memory = number.extra[0]
+                self._live.setdefault(memory.loop, {})[memory] = None
+                pending += [*memory.before, memory.end]
+            while scope.parent is not None:
+                self._live.setdefault(scope, {})
+                scope = scope.parent
 
-    def _enter(self, scope: Scope) -> None:
-        """A loop with something that is needed is needed itself, and so are those around it."""
-        while scope.parent is not None:
-            self._of(scope)
-            scope = scope.parent
-
-    def _of(self, loop: Scope) -> dict[str, list[int]]:
-        return self._live.setdefault(loop, {"carry": [], "item": [], "stacked": []})
-
-    def _roots(self, scope: Scope) -> list[Any]:
-        """What a round of a loop is for."""
-        if scope.parent is None:
-            return []
-        live = self._of(scope)
-        roots: list[Any] = [scope.end[place] for place in live["carry"]]
-        return roots + [scope.stacked[place] for place in live["stacked"]]
-
-    def order(self, scope: Scope, extra: Iterable[Any] = ()) -> tuple[list[Item], list[Number]]:
-        """What a scope computes in order, depth first, and the numbers of outer scopes that it needs."""
+    def _order(self, scope: Scope) -> tuple[list[Any], list[Number]]:
+        """Numbers and loops of a scope in order, and what they need from outside of it."""
         if scope in self._orders:
             return self._orders[scope]
-        loops = [loop for loop in self._live if loop.parent is scope]
-        roots = [*extra, *self._roots(scope), *loops]
-        if self.is_uniform:
-            roots += self.stored.get(scope, ())
-        done: set[Any] = set()
-        ordered: list[Item] = []
+        roots = [self._result, *(memory.end for memory in self._live.get(scope, ()))]
+        roots += [loop for loop in self._loops if loop in self._live and loop.parent is scope]
+        roots += self.stored.get(scope, ()) if self._is_uniform else ()
+        done: dict[Any, None] = {}
         outer: dict[Number, None] = {}
+        ordered: list[Any] = []
         stack: list[tuple[Any, bool]] = [(root, False) for root in reversed(roots)]
         while stack:
             item, is_ready = stack.pop()
             if is_ready:
                 ordered.append(item)
-                continue
-            if isinstance(item, Number):
-                if item in done or not self._own(item):
-                    continue
-                if item.scope is not scope:
+            elif isinstance(item, Number) and item.is_uniform == self._is_uniform and item.scope is not scope:
+                if item.scope.depth < scope.depth:
                     outer[item] = None
-                    continue
-            elif not isinstance(item, Scope) or item in done:
-                continue
-            done.add(item)
-            stack.append((item, True))
-            stack += [(need, False) for need in reversed(self._needs(item))]
+            elif item not in done and (isinstance(item, Scope) or self._is_own(item)):
+                done[item] = None
+                stack.append((item, True))
+                stack += [(need, False) for need in reversed(self._needs(item))]
         self._orders[scope] = ordered, list(outer)
         return self._orders[scope]
 
-    def _needs(self, item: Item) -> list[Any]:
-        if isinstance(item, Number):
-            return [item.extra[0]] if item.op in ("final", "stacked") else list(item.args)
-        live = self._of(item)
-        needs = [item.start[place] for place in live["carry"]]
-        needs += [own for place in live["item"] for own in item.items[place]]
-        return needs + self.order(item)[1]
+    def _is_own(self, symbol: Symbol) -> bool:
+        return isinstance(symbol, Number) and symbol.is_uniform == self._is_uniform
 
-    # Text
+    def _needs(self, item: Number | Scope) -> list[Any]:
+        """What comes before a number or a loop."""
+        if isinstance(item, Scope):
+            return [own for memory in self._live[item] for own in memory.before] + self._order(item)[1]
+        is_after = item.op == "read" and item.extra[0].loop is not item.scope
+        return [item.extra[0].loop] if is_after else list(item.args)
 
-    def write(self, code: str) -> str:
-        """A line that makes a new value, whose name is returned."""
-        self._count += 1
-        self.lines.append(f"  %v{self._count} = {code}")
-        return f"%v{self._count}"
+    def _write(self, code: str) -> str:
+        """A line that makes a value, whose name is returned."""
+        self.lines.append(f"  %v{len(self.lines)} = {code}")
+        return f"%v{len(self.lines) - 1}"
 
-    def constant(self, value: Symbol) -> str:
+    def _block(self, scope: Scope) -> None:
+        """The code of a scope."""
+        stored = self.stored.get(scope, {}) if self._is_uniform else {}
+        for item in self._order(scope)[0]:
+            if isinstance(item, Scope):
+                self._loop(item)
+                continue
+            value = self._names[item] = self._operation(item)
+            if item in stored:
+                if item.is_mask:
+                    value = self._choice(value, self._constant(1.0), self._constant(0.0))
+                first = self._write(f"extractelement {self._type} {value}, i32 0")
+                self.lines.append(f"  store float {first}, ptr {self._slot(item)}")
+
+    def _loop(self, loop: Scope) -> None:
+        own, outer, lines = loop.index, loop.parent, self.lines
+        for memory in self._live[loop]:
+            name = self._names[memory] = f"%m{len(self.slots)}"
+            self.slots.append(f"  {name} = alloca [{memory.size} x {self._type}], align 64")
+            for place, symbol in enumerate(memory.before):
+                self._put(symbol, self._place(memory, str(place)))
+        # A pointer that each round moves on: LLVM takes a minute over addresses that depend on the number of the round.
+        size, before = len(self.stored.get(loop, ())), "0"
+        if outer is not None and outer.parent is not None:
+            before = self._write(f"mul i64 %round{outer.index}, {loop.length}")
+        first = self._write(f"getelementptr [{size} x float], ptr %base{own}, i64 {before}")
+        lines += [f"  br label %before{own}", f"before{own}:", f"  br label %loop{own}", f"loop{own}:"]
+        lines.append(f"  %n{own} = phi i64 [0, %before{own}], [%next{own}, %end{own}]")
+        lines.append(f"  %store{own} = phi ptr [{first}, %before{own}], [%after{own}, %end{own}]")
+        lines.append(f"  %round{own} = add i64 {before}, %n{own}")
+        self._block(loop)
+        ends = [(self._name(memory.end), memory) for memory in self._live[loop] if memory.end is not None]
+        for end, memory in ends:
+            place = self._place(memory, "0" if memory.before else f"%n{own}")
+            lines.append(f"  store {self._type} {end}, ptr {place}, align 4")
+        lines += [f"  br label %end{own}", f"end{own}:", f"  %next{own} = add i64 %n{own}, 1"]
+        lines.append(f"  %after{own} = getelementptr float, ptr %store{own}, i64 {size}")
+        lines.append(f"  %again{own} = icmp ult i64 %next{own}, {loop.length}")
+        lines += [f"  br i1 %again{own}, label %loop{own}, label %done{own}", f"done{own}:"]
+
+    def _constant(self, value: Symbol) -> str:
         if isinstance(value, bool):
             return f"splat (i1 {str(value).lower()})"
         with np.errstate(over="ignore"):
-            bits = int(np.float64(np.float32(value)).view(np.uint64))
-        return f"splat (float 0x{bits:016X})"
+            return f"splat (float 0x{int(np.float64(np.float32(value)).view(np.uint64)):016X})"
 
-    def name(self, symbol: Symbol) -> str:
-        """How code refers to a number."""
+    def _name(self, symbol: Symbol) -> str:
+        """The value of a symbol."""
         if not isinstance(symbol, Number):
-            return self.constant(symbol)
-        if symbol.is_uniform == self.is_uniform:
+            return self._constant(symbol)
+        if self._is_own(symbol):
             return self._names[symbol]
-        value = self.spread(self.write(f"load float, ptr {self.slot(symbol)}"))
-        return self.write(f"fcmp une {self.type} {value}, zeroinitializer") if symbol.is_mask else value
+        value = self._spread(self._write(f"load float, ptr {self._slot(symbol)}"))
+        return self._write(f"fcmp une {self._type} {value}, zeroinitializer") if symbol.is_mask else value
 
-    def spread(self, scalar: str) -> str:
+    def _spread(self, number: str) -> str:
         """A vector of equal lanes."""
-        first = self.write(f"insertelement {self.type} poison, float {scalar}, i32 0")
-        return self.write(f"shufflevector {self.type} {first}, {self.type} poison, <{self.lanes} x i32> zeroinitializer")
+        first = self._write(f"insertelement {self._type} poison, float {number}, i32 0")
+        return self._write(
+            f"shufflevector {self._type} {first}, {self._type} poison, <{self._lanes} x i32> zeroinitializer"
+        )
 
-    def slot(self, number: Number) -> str:
-        """Address of a stored number of this round."""
+    def _slot(self, number: Number) -> str:
+        """Where a uniform number is stored in this round."""
         place = self.stored[number.scope][number]
-        return self.write(f"getelementptr float, ptr %store{_id(number.scope)}, i64 {place}")
+        return self._write(f"getelementptr float, ptr %store{number.scope.index}, i64 {place}")
 
-    def kind(self, symbol: Symbol) -> str:
-        is_mask = symbol.is_mask if isinstance(symbol, Number) else isinstance(symbol, bool)
-        return self.mask if is_mask else self.type
+    def _place(self, memory: Memory, index: str) -> str:
+        return self._write(f"getelementptr {self._type}, ptr {self._names[memory]}, i64 {index}")
 
-    def reserve(self, name: str, count: int) -> str:
-        size = f"[{count} x {self.type}]"
-        self.slots.append(f"  {name} = alloca {size}, align 64")
-        return name
+    def _put(self, symbol: Symbol, place: str) -> None:
+        self.lines.append(f"  store {self._type} {self._name(symbol)}, ptr {place}, align 4")
 
-    def block(self, scope: Scope) -> None:
-        """The code of a scope."""
-        for item in self.order(scope)[0]:
-            if isinstance(item, Scope):
-                self.loop(item)
-            else:
-                self._names[item] = self.operation(item)
-            if self.is_uniform and isinstance(item, Number) and item in self.stored.get(scope, ()):
-                value = self._names[item]
-                if item.is_mask:
-                    value = self.write(f"select {self.mask} {value}, {self.type} {self.constant(1.0)}, {self.type} {self.constant(0.0)}")
-                first = self.write(f"extractelement {self.type} {value}, i32 0")
-                self.lines.append(f"  store float {first}, ptr {self.slot(item)}")
+    def _choice(self, mask: str, yes: str, no: str, kind: str | None = None) -> str:
+        kind = kind or self._type
+        return self._write(f"select {self._mask} {mask}, {kind} {yes}, {kind} {no}")
 
-    def loop(self, loop: Scope) -> None:
-        own, live = _id(loop), self._of(loop)
-        for place in live["carry"]:
-            slot = self.reserve(f"%c{own}_{place}", 1)
-            self.put(loop.start[place], slot)
-        for place in live["item"]:
-            slot = self.reserve(f"%i{own}_{place}", loop.length)
-            for index, value in enumerate(loop.items[place]):
-                self.put(value, self.write(f"getelementptr {self.type}, ptr {slot}, i64 {index}"))
-        for place in live["stacked"]:
-            self.reserve(f"%s{own}_{place}", loop.length)
-        # A pointer that each round moves on: LLVM takes minutes over addresses that are computed from the round's number.
-        size, outer = len(self.stored.get(loop, ())), loop.parent
-        first = self.write(f"mul i64 %round{_id(outer)}, {loop.length * size}") if outer and outer.parent else "0"
-        self.lines += [f"  %first{own} = getelementptr float, ptr %base{own}, i64 {first}"] if size else []
-        self.lines += [f"  br label %before{own}", f"before{own}:", f"  br label %loop{own}", f"loop{own}:"]
-        self.lines.append(f"  %n{own} = phi i64 [0, %before{own}], [%m{own}, %end{own}]")
-        if size:
-            self.lines.append(f"  %store{own} = phi ptr [%first{own}, %before{own}], [%next{own}, %end{own}]")
-        above = self.write(f"mul i64 %round{_id(outer)}, {loop.length}") if outer and outer.parent else "0"
-        self.lines.append(f"  %round{own} = add i64 {above}, %n{own}")
-        self.block(loop)
-        ends = [self.name(loop.end[place]) for place in live["carry"]]
-        for place, end in zip(live["carry"], ends, strict=True):
-            self.lines.append(f"  store {self.type} {end}, ptr %c{own}_{place}, align 4")
-        for place in live["stacked"]:
-            slot = self.write(f"getelementptr {self.type}, ptr %s{own}_{place}, i64 %n{own}")
-            self.put(loop.stacked[place], slot)
-        self.lines += [f"  br label %end{own}", f"end{own}:", f"  %m{own} = add i64 %n{own}, 1"]
-        self.lines += [f"  %next{own} = getelementptr float, ptr %store{own}, i64 {size}"] if size else []
-        self.lines += [f"  %again{own} = icmp ult i64 %m{own}, {loop.length}"]
-        self.lines += [f"  br i1 %again{own}, label %loop{own}, label %after{own}", f"after{own}:"]
-
-    def put(self, symbol: Symbol, slot: str) -> None:
-        self.lines.append(f"  store {self.type} {self.name(symbol)}, ptr {slot}, align 4")
-
-    def get(self, slot: str) -> str:
-        return self.write(f"load {self.type}, ptr {slot}, align 4")
-
-    def operation(self, number: Number) -> str:
+    def _operation(self, number: Number) -> str:
         """The code of a number, and its name."""
-        op, extra, own = number.op, number.extra, self.type
+        op, extra, own = number.op, number.extra, self._type
         match op:
-            case "carry":
-                return self.get(f"%c{_id(number.scope)}_{extra}")
-            case "final":
-                return self.get(f"%c{_id(extra[0])}_{extra[1]}")
-            case "item":
-                slot = f"%i{_id(number.scope)}_{extra}"
-                return self.get(self.write(f"getelementptr {own}, ptr {slot}, i64 %n{_id(number.scope)}"))
-            case "stacked":
-                loop, place, index = extra
-                return self.get(self.write(f"getelementptr {own}, ptr %s{_id(loop)}_{place}, i64 {index}"))
+            case "read":
+                memory, place = extra
+                where = self._place(memory, f"%n{memory.loop.index}" if place is None else str(place))
+                return self._write(f"load {own}, ptr {where}, align 4")
             case "given":
-                array = self.write(f"load ptr, ptr {self.write(f'getelementptr ptr, ptr %given, i64 {extra[0]}')}")
-                return self.spread(self.write(f"load float, ptr {self.write(f'getelementptr float, ptr {array}, i64 {extra[1]}')}"))
+                array = self._write(f"load ptr, ptr {self._write(f'getelementptr ptr, ptr %given, i64 {extra[0]}')}")
+                place = self._write(f"getelementptr float, ptr {array}, i64 {extra[1]}")
+                return self._spread(self._write(f"load float, ptr {place}"))
             case "lane":
-                place = self.write(f"mul i64 %stride, {extra}")
-                return self.get(self.write(f"getelementptr float, ptr %x, i64 {place}"))
-        args = [self.name(each) for each in number.args]
+                row = self._write(f"mul i64 %stride, {extra[0]}")
+                return self._write(f"load {own}, ptr {self._write(f'getelementptr float, ptr %x, i64 {row}')}, align 4")
+        args = [self._name(each) for each in number.args]
         if op in _ARITHMETIC:
-            return self.write(f"{_ARITHMETIC[op]} {_FLAGS} {own} {args[0]}, {args[1]}")
-        if op in _COMPARISON:
-            return self.write(f"fcmp {_COMPARISON[op]} {own} {args[0]}, {args[1]}")
-        if op in ("max", "min"):
-            return self.extreme(number, args)
+            return self._write(f"{_ARITHMETIC[op]} {_FLAGS} {own} {', '.join(args)}")
+        if op in COMPARISONS:
+            return self._write(f"fcmp {COMPARISONS[op]} {own} {', '.join(args)}")
         if op in _INTRINSICS:
-            return self.write(f"call {_FLAGS} {own} @llvm.{_INTRINSICS[op]}.v{self.lanes}f32({own} {args[0]})")
+            return self._write(f"call {_FLAGS} {own} @llvm.{op}.v{self._lanes}f32({own} {args[0]})")
+        if op in LOGIC:
+            return self._write(f"{LOGIC[op]} {self._mask} {args[0]}, {(*args, self._constant(True))[1]}")
         match op:
-            case "neg":
-                return self.write(f"fneg {_FLAGS} {own} {args[0]}")
+            case "negative":
+                return self._write(f"fneg {_FLAGS} {own} {args[0]}")
             case "reciprocal":
-                return self.write(f"fdiv {_FLAGS} {own} {self.constant(1.0)}, {args[0]}")
+                return self._write(f"fdiv {_FLAGS} {own} {self._constant(1.0)}, {args[0]}")
             case "select":
-                kind = self.kind(number)
-                return self.write(f"select {self.mask} {args[0]}, {kind} {args[2]}, {kind} {args[1]}")
-            case "and" | "or":
-                return self.write(f"{op} {self.mask} {args[0]}, {args[1]}")
-            case "not":
-                return self.write(f"xor {self.mask} {args[0]}, {self.constant(True)}")
-        return self.library(op, args)
+                return self._choice(args[0], args[2], args[1], self._mask if is_mask(number) else own)
+            case "maximum" | "minimum":
+                return self._extreme(number, *args)
+        return self._called(op, args)
 
-    def extreme(self, number: Number, args: list[str]) -> str:
-        """The larger or smaller of two; NaN if one of them is."""
-        order = "ogt" if number.op == "max" else "olt"
+    def _extreme(self, number: Number, a: str, b: str) -> str:
+        """The larger or the smaller of two; NaN if one of them is: the CPU's instruction returns the second then."""
         if not isinstance(number.args[1], Number):
-            args = args[::-1]
-        chosen = self.write(f"fcmp {order} {self.type} {args[0]}, {args[1]}")
-        value = self.write(f"select {self.mask} {chosen}, {self.type} {args[0]}, {self.type} {args[1]}")
+            a, b = b, a
+        order = "ogt" if number.op == "maximum" else "olt"
+        value = self._choice(self._write(f"fcmp {order} {self._type} {a}, {b}"), a, b)
         if not all(isinstance(each, Number) for each in number.args):
             return value
-        unknown = self.write(f"fcmp uno {self.type} {args[0]}, {args[0]}")
-        return self.write(f"select {self.mask} {unknown}, {self.type} {args[0]}, {self.type} {value}")
+        return self._choice(self._write(f"fcmp uno {self._type} {a}, {a}"), a, value)
 
-    def library(self, op: str, args: list[str]) -> str:
+    def _called(self, op: str, args: list[str]) -> str:
         """A function of the C library, lane by lane."""
         value = "poison"
-        for lane in range(1 if self.is_uniform else self.lanes):
-            scalars = [f"float {self.write(f'extractelement {self.type} {each}, i32 {lane}')}" for each in args]
-            called = self.write(f"call float @{op}f({', '.join(scalars)})")
-            value = self.write(f"insertelement {self.type} {value}, float {called}, i32 {lane}")
-        return self.spread(called) if self.is_uniform else value
+        for lane in range(1 if self._is_uniform else self._lanes):
+            numbers = [self._write(f"extractelement {self._type} {each}, i32 {lane}") for each in args]
+            result = self._write(f"call float @{op}f({', '.join(f'float {each}' for each in numbers)})")
+            value = self._write(f"insertelement {self._type} {value}, float {result}, i32 {lane}")
+        return self._spread(result) if self._is_uniform else value
 
 
-def _id(scope: Scope) -> int:
-    return scope.index
+def module(trace: Trace, lanes: int, arguments: int, version: tuple[int, int]) -> str:
+    """LLVM code of a handler of XLA's foreign function interface of that version, for 64 bits.
 
-
-def module(result: Symbol, root: Scope, lanes: int, arguments: int, version: tuple[int, int]) -> str:
-    """LLVM code of a handler for XLA's foreign function interface.
-
-    Its arguments are `arguments` arrays that are the same in all lanes, and one (n, B) with B a multiple of `lanes`; its
-    result has (B,).
+    It takes `arguments` arrays that are the same in all lanes, and one (n, B) with B a multiple of `lanes`, and returns
+    (B,).
     """
-    vectors = Part(result, lanes)
-    uniform = Part(result, lanes, vectors.stored)
-    vectors.order(root, [result])
-    uniform.block(root)
-    vectors.block(root)
-    vectors.put(result, "%y")
-    bases, place = [], 0
-    for scope, numbers in vectors.stored.items():
-        name = "store" if scope.parent is None else "base"
-        bases.append(f"  %{name}{_id(scope)} = getelementptr float, ptr %memory, i64 {place}")
-        place += len(numbers) * scope.rounds
-    lines = ["define internal void @uniform(ptr %given, ptr noalias %memory) noinline {", "entry:"]
-    lines += [*bases, *uniform.slots, *uniform.lines, "  ret void", "}"]
-    lines += ["define internal void @vectors(ptr %memory, ptr noalias %x, ptr noalias %y, i64 %stride) noinline {", "entry:"]
-    lines += [*bases, *vectors.slots, *vectors.lines, "  ret void", "}"]
-    lines += [_HANDLER.format(size=max(place, 1), arguments=arguments, pointers=arguments + 1, major=version[0], minor=version[1], lanes=lanes)]
+    vectors = Part(trace, lanes)
+    uniform = Part(trace, lanes, vectors.stored)
+    bases, size = [], 0
+    for scope in (trace.root, *trace.loops):
+        name = "base" if scope.parent else "store"
+        bases.append(f"  %{name}{scope.index} = getelementptr float, ptr %memory, i64 {size}")
+        size += len(vectors.stored.get(scope, ())) * scope.rounds
     kind = f"<{lanes} x float>"
-    lines += [f"declare {kind} @llvm.{name}.v{lanes}f32({kind})" for name in _INTRINSICS.values()]
-    lines += [f"declare float @{name}f({'float, float' if name in ('atan2', 'pow') else 'float'})" for name in sorted(_LIBM)]
-    return "\n".join(lines)
+    return "\n".join(
+        [
+            "define internal void @uniform(ptr %given, ptr noalias %memory) noinline {",
+            *(*bases, *uniform.slots, *uniform.lines, "  ret void", "}"),
+            "define internal void @vectors(ptr %memory, ptr noalias %x, ptr noalias %y, i64 %stride) noinline {",
+            *(*bases, *vectors.slots, *vectors.lines, "  ret void", "}"),
+            *(f"declare {kind} @llvm.{name}.v{lanes}f32({kind})" for name in _INTRINSICS),
+            *(f"declare float @{name}f({'float, ' * (name in _TWO)}float)" for name in (*LIBRARY, "pow")),
+            _HANDLER.format(
+                size=size + 1, last=arguments, count=arguments + 1, major=version[0], minor=version[1], lanes=lanes
+            ),
+        ]
+    )
 
 
 _HANDLER = """
+%Frame = type {{ i64, ptr, ptr, ptr, i32, {{ i64, ptr, i64, ptr, ptr }}, {{ i64, ptr, i64, ptr, ptr }} }}
+%Buffer = type {{ i64, ptr, i32, ptr, i64, ptr }}
+%Extension = type {{ i64, i32, ptr, ptr }}
+%Metadata = type {{ i64, {{ i64, ptr, i32, i32 }}, i32, i64 }}
 define ptr @handler(ptr %frame) {{
-entry:
+  %given = alloca [{count} x ptr]
   %memory = alloca [{size} x float], align 64
-  %p.extension = getelementptr i8, ptr %frame, i64 8
+  %p.extension = getelementptr %Frame, ptr %frame, i64 0, i32 1
   %extension = load ptr, ptr %p.extension
   %is.call = icmp eq ptr %extension, null
   br i1 %is.call, label %call, label %describe
 describe:
-  %p.metadata = getelementptr i8, ptr %extension, i64 24
+  %p.metadata = getelementptr %Extension, ptr %extension, i64 0, i32 3
   %metadata = load ptr, ptr %p.metadata
-  %p.major = getelementptr i8, ptr %metadata, i64 24
+  %p.major = getelementptr %Metadata, ptr %metadata, i64 0, i32 1, i32 2
   store i32 {major}, ptr %p.major
-  %p.minor = getelementptr i8, ptr %metadata, i64 28
+  %p.minor = getelementptr %Metadata, ptr %metadata, i64 0, i32 1, i32 3
   store i32 {minor}, ptr %p.minor
-  %p.traits = getelementptr i8, ptr %metadata, i64 32
-  store i32 0, ptr %p.traits
   ret ptr null
 call:
-  %p.args = getelementptr i8, ptr %frame, i64 72
+  %p.args = getelementptr %Frame, ptr %frame, i64 0, i32 5, i32 4
   %args = load ptr, ptr %p.args
-  %p.rets = getelementptr i8, ptr %frame, i64 112
+  %p.rets = getelementptr %Frame, ptr %frame, i64 0, i32 6, i32 4
   %rets = load ptr, ptr %p.rets
-  %given = alloca [{pointers} x ptr], align 8
   br label %collect
 collect:
   %n = phi i64 [0, %call], [%m, %collect]
   %p.buffer = getelementptr ptr, ptr %args, i64 %n
   %buffer = load ptr, ptr %p.buffer
-  %p.data = getelementptr i8, ptr %buffer, i64 24
+  %p.data = getelementptr %Buffer, ptr %buffer, i64 0, i32 3
   %data = load ptr, ptr %p.data
   %p.given = getelementptr ptr, ptr %given, i64 %n
   store ptr %data, ptr %p.given
   %m = add i64 %n, 1
-  %again = icmp ule i64 %m, {arguments}
+  %again = icmp ule i64 %m, {last}
   br i1 %again, label %collect, label %run
 run:
-  %p.dims = getelementptr i8, ptr %buffer, i64 40
+  %p.dims = getelementptr %Buffer, ptr %buffer, i64 0, i32 5
   %dims = load ptr, ptr %p.dims
   %p.width = getelementptr i64, ptr %dims, i64 1
   %width = load i64, ptr %p.width
   %result = load ptr, ptr %rets
-  %p.result = getelementptr i8, ptr %result, i64 24
+  %p.result = getelementptr %Buffer, ptr %result, i64 0, i32 3
   %out = load ptr, ptr %p.result
   call void @uniform(ptr %given, ptr %memory)
   br label %block

@@ -31,6 +31,7 @@ _BOUNDARY_WEIGHT = 0.3
 GRADIENT_REACH = 2.0
 """β = 1 moves the variable with the steepest slope by this: from one side of its bounds to the other."""
 
+
 class Search(NamedTuple):
     """State of the search after a step."""
 

@@ -34,9 +34,7 @@ class Bodies(NamedTuple):
     """(3, Q, 1) half of their size along these axes, m."""
 
 
-def intrusion(
-    arm: ArmModel, capsules: Capsules, bodies: Bodies | None, margin: float | jax.Array
-) -> jax.Array:
+def intrusion(arm: ArmModel, capsules: Capsules, bodies: Bodies | None, margin: float | jax.Array) -> jax.Array:
     """Σ max(margin − distance, 0)² (..., B), m², over the capsules and bodies and the pairs that can touch.
 
     Parameters

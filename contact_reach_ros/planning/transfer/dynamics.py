@@ -132,13 +132,11 @@ def arm_dynamics(arm: ArmModel, frames: Frames) -> Dynamics:
     linear = [velocity[a] * composite_mass + axis[b] * first[c] - axis[c] * first[b] for a, b, c in _CYCLES]
     # Row a of the inertia tensor: its moment and the products with b and c.
     angular = [
-        
-            first[b] * velocity[c]
-            - first[c] * velocity[b]
-            + diagonal[a] * axis[a]
-            + off_diagonal[c] * axis[b]
-            + off_diagonal[b] * axis[c]
-        
+        first[b] * velocity[c]
+        - first[c] * velocity[b]
+        + diagonal[a] * axis[a]
+        + off_diagonal[c] * axis[b]
+        + off_diagonal[b] * axis[c]
         for a, b, c in _CYCLES
     ]
     momentum = [*linear, *angular]
