@@ -32,7 +32,7 @@ class PlanningSettings(Settings):
     )
     backend: str = setting(
         AUTO,
-        "compiler of the cost: on a CPU this package's, which runs it three times as fast, elsewhere XLA; or always XLA",
+        "compiler of the cost: this package's on a CPU, which is two to three times as fast, XLA elsewhere; or XLA",
         choices=BACKENDS,
     )
     goal_weight: float = setting(1.0, "λ1 of (5): distance to the goal", unit="1/m", minimum=0.0, maximum=100.0)

@@ -14,8 +14,8 @@ from contact_reach_ros.planning.lanes.graph import COMPARISONS, LOGIC, Memory, N
 from contact_reach_ros.planning.lanes.trace import LIBRARY, Trace
 
 _FLAGS = "nsz arcp contract"
-"""Products may be fused with sums; NaN and infinity stay what they are, and sums keep their order, which the rounding of
-angles to turns relies on."""
+"""Products may be fused with sums. NaN and infinity stay what they are, and sums keep their order, on which the
+reduction of angles relies."""
 
 _ARITHMETIC = {"add": "fadd", "subtract": "fsub", "multiply": "fmul"}
 _INTRINSICS = ("sqrt", "floor", "ceil", "rint", "fabs")
@@ -136,8 +136,8 @@ class Part:
         for memory in self._live[loop]:
             name = self._names[memory] = f"%m{len(self.slots)}"
             self.slots.append(f"  {name} = alloca [{memory.size} x {self._type}], align 64")
-            for place, symbol in enumerate(memory.before):
-                self._put(symbol, self._place(memory, str(place)))
+            for index, symbol in enumerate(memory.before):
+                self._put(symbol, self._place(memory, str(index)))
         # A pointer that each round moves on: LLVM takes a minute over addresses that depend on the number of the round.
         size, before = len(self.stored.get(loop, ())), "0"
         if outer is not None and outer.parent is not None:

@@ -84,14 +84,15 @@ class Trace:
         if name == "cumsum" and not options["reverse"]:
             return [np.frompyfunc(operation("add"), 2, 1).accumulate(inputs[0], options["axis"], dtype=object)]
         if name == "dot_general" and not options["dimension_numbers"][1][0]:
-            products = _each(operation("multiply"), *_aligned(*inputs, *options["dimension_numbers"][0]))
+            over_a, over_b = options["dimension_numbers"][0]
+            products = _each(operation("multiply"), *_aligned(inputs[0], inputs[1], over_a, over_b))
             return [_reduce(operation("add"), products, [products.ndim - 1])]
         return [_each(self._on_numbers(equation), *inputs)]
 
     def _on_numbers(self, equation: Any) -> Callable[..., Symbol]:
         """What an equation does to single numbers."""
         graph, options = self._graph, equation.params
-        name, dtype = equation.primitive.name, equation.invars[0].aval.dtype
+        name, dtype = equation.primitive.name, np.dtype(equation.invars[0].aval.dtype)
         match name:
             case "square":
                 return lambda a: graph.multiply(a, a)
@@ -108,7 +109,7 @@ class Trace:
                 return lambda a: graph.select(below(a, 0.0), graph.select(below(0.0, a), a, 1.0), -1.0)
             case "convert_element_type":
                 return lambda a: self._converted(a, dtype, options["new_dtype"])
-        is_odd = dtype == bool and _OPERATIONS.get(name, "select")[:7] not in ("select", "logical")
+        is_odd = dtype == np.bool_ and _OPERATIONS.get(name, "select")[:7] not in ("select", "logical")
         if name not in _OPERATIONS or is_odd or options.get("rounding_method") is RoundingMethod.AWAY_FROM_ZERO:
             raise UnknownOperationError(f"the lanes' compiler knows no operation '{name}' of {dtype}")
         return graph.operation(_OPERATIONS[name])
@@ -116,7 +117,7 @@ class Trace:
     def _converted(self, a: Symbol, before: Any, after: Any) -> Symbol:
         if not isinstance(a, Number):
             return np.dtype(after).type(a).item()
-        if before == bool and after == np.float32:
+        if before == np.bool_ and after == np.float32:
             return self._graph.select(a, 0.0, 1.0)
         if before != after:
             raise UnknownOperationError(f"the lanes' compiler knows no conversion from {before} to {after}")
