@@ -46,7 +46,7 @@ def with_functions(given, candidates):
     rows = matrix @ rows + jnp.cumsum(candidates, axis=0)
     chosen = jnp.where((candidates > 0.2) & ~(candidates > 0.7), rows, jnp.sign(candidates) * candidates**3)
     chosen = jnp.where((candidates > 0.0).any(axis=0), chosen, -chosen)
-    return (chosen / (1.0 + candidates**2)).sum(axis=0) + jnp.pad(rows, ((0, 1), (0, 0))).min(axis=0)
+    return (chosen / (1.0 + candidates**2)).sum(axis=0) + rows[::2].min(axis=0)
 
 
 @pytest.mark.parametrize("function", [with_loops, with_functions])
@@ -71,7 +71,7 @@ def test_cost_and_gradient_of_a_plan_are_those_of_xla(space_cost, center, quick_
     points = np.clip(0.3 * random.standard_normal((39, SMALL.population)), -1.0, 1.0).astype(np.float32)
     costs, reference = both(space_cost, problem, points)
     np.testing.assert_allclose(costs, reference, rtol=1e-5, atol=1e-5)
-    directions = np.eye(39, dtype=np.float32)
+    directions = np.eye(39, dtype=np.float32)[:, ::13]
     own, expected = both(lambda given, along: slopes(space_cost, given, along), (problem, points[:, :1]), directions)
     assert np.linalg.norm(own - expected) < 3e-5 * np.linalg.norm(expected)
 

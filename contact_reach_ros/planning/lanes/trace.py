@@ -235,34 +235,17 @@ def _broadcast(options: dict[str, Any], array: np.ndarray) -> np.ndarray:
     return np.broadcast_to(array.reshape(kept), options["shape"])
 
 
-def _pad(options: dict[str, Any], array: np.ndarray, value: np.ndarray) -> np.ndarray:
-    widths = options["padding_config"]
-    if any(inner or low < 0 or high < 0 for low, high, inner in widths):
-        raise UnknownOperationError(f"the lanes' compiler knows no padding {widths}")
-    return np.pad(array, [(low, high) for low, high, _ in widths], constant_values=value.item())
-
-
 def _slice(options: dict[str, Any], array: np.ndarray) -> np.ndarray:
     strides = options["strides"] or [1] * array.ndim
     return array[tuple(map(slice, options["start_indices"], options["limit_indices"], strides))]
-
-
-def _dynamic_slice(options: dict[str, Any], array: np.ndarray, *starts: np.ndarray) -> np.ndarray:
-    if any(isinstance(start.item(), Number) for start in starts):
-        raise UnknownOperationError("the lanes' compiler knows no index that is not known before the call")
-    sizes = options["slice_sizes"]
-    first = [min(max(start.item(), 0), n - size) for start, n, size in zip(starts, array.shape, sizes, strict=True)]
-    return array[tuple(slice(start, start + size) for start, size in zip(first, sizes, strict=True))]
 
 
 _STRUCTURE: dict[str, Callable[..., Any]] = {
     "broadcast_in_dim": _broadcast,
     "concatenate": lambda options, *arrays: np.concatenate(arrays, axis=options["dimension"]),
     "copy": lambda options, array: array,
-    "dynamic_slice": _dynamic_slice,
     "expand_dims": lambda options, array: np.expand_dims(array, options["dimensions"]),
     "iota": lambda options: _known(np.indices(options["shape"])[options["dimension"]]),
-    "pad": _pad,
     "reshape": lambda options, array: array.reshape(options["new_sizes"]),
     "rev": lambda options, array: np.flip(array, options["dimensions"]),
     "slice": _slice,
