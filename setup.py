@@ -52,6 +52,7 @@ setup(
         "brax",
         "jax",
         "jinja2",
+        "llvmlite",
         "matplotlib",
         "mcap",
         "msgspec",

@@ -14,7 +14,7 @@ from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.obstacles import nearest_bodies
 from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion
 from contact_reach_ros.planning.transfer.dynamics import link_frames, place_capsules
-from contact_reach_ros.planning.transfer.lanes import dot, make_keep, single
+from contact_reach_ros.planning.transfer.lanes import dot, single
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.world.collision import nearest
 from contact_reach_ros.world.spheres import Spheres
@@ -126,9 +126,8 @@ def _chunks(postures: Array) -> list[jax.Array]:
 def distances(table: Arm, postures: jax.Array, centers: jax.Array, radii: jax.Array) -> jax.Array:
     """Distances (C, K, B) of spheres with centres (3, K, 1) and radii (K, 1) from the capsules at postures (n, B)."""
     arm = arm_model(table)
-    keep = make_keep(postures)
-    frames = link_frames(arm, postures, keep)
-    start, segment = (keep(points) for points in place_capsules(arm, frames))
+    frames = link_frames(arm, postures)
+    start, segment = place_capsules(arm, frames)
     inverse_square = (1.0 / (arm.capsule_axis**2).sum(axis=1))[:, None, None]
     to_sphere = centers[:, None] - start[:, :, None]
     share = jnp.clip(dot(to_sphere, segment[:, :, None]) * inverse_square, 0.0, 1.0)
@@ -151,7 +150,7 @@ def _clear(
     bodies: Bodies,
     margin: jax.Array,
 ) -> jax.Array:
-    arm, keep = arm_model(table), make_keep(postures)
+    arm = arm_model(table)
     apart = (distances(table, postures, centers, radii) >= required).all(axis=(0, 1))
-    capsules = place_capsules(arm, link_frames(arm, postures, keep))
-    return apart & (intrusion(arm, capsules, bodies, margin, keep) == 0.0)
+    capsules = place_capsules(arm, link_frames(arm, postures))
+    return apart & (intrusion(arm, capsules, bodies, margin) == 0.0)

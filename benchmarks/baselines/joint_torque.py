@@ -37,7 +37,6 @@ from contact_reach_ros.planning.terms import Problem, Rollout
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import contact_step
 from contact_reach_ros.planning.transfer.dynamics import Dynamics, arm_dynamics, link_frames
-from contact_reach_ros.planning.transfer.lanes import make_keep, ratio
 from contact_reach_ros.planning.transfer.pipeline import Reference, State, System, capped, factorise_mass
 from contact_reach_ros.timing import PERIOD
 
@@ -79,16 +78,15 @@ def torque_bounds(arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings
 def torque_step(system: System, state: State, act: HeldTorque) -> State:
     """As `pipeline.step`, under a command (7, B) instead of law (3); `damping` may be None where there is none."""
     timestep = system.timestep
-    keep = make_keep(state.q)
     q = state.q + (0.5 * timestep) * state.qd
-    frames = link_frames(system.arm, q, keep)
+    frames = link_frames(system.arm, q)
     torque: Any = act.torque
     obstacles, link_force = state.obstacles, state.link_force
     if obstacles is not None:
-        contact = contact_step(system.arm, frames, obstacles, system.contact_stiffness, timestep, keep)
+        contact = contact_step(system.arm, frames, obstacles, system.contact_stiffness, timestep)
         obstacles, link_force = obstacles._replace(center=contact.center), contact.link_force
         torque = torque + contact.joint_torque
-    dynamics = arm_dynamics(system.arm, frames, keep)
+    dynamics = arm_dynamics(system.arm, frames)
     if act.damping is not None:
         # Implicit: the wrist's inertia is too small for its damping at such steps.
         torque = torque - act.damping * state.qd
@@ -108,7 +106,7 @@ def _driven_acceleration(dynamics: Dynamics, torque: jax.Array) -> jax.Array:
         total = solved[joint][0]
         for later in range(joint + 1, n):
             total = total - factor[joint][later - joint] * acceleration[later]
-        acceleration[joint] = ratio(total, pivots[joint])
+        acceleration[joint] = total / pivots[joint]
     return jnp.stack(acceleration)
 
 

@@ -57,7 +57,7 @@ from contact_reach_ros.planning.transfer.dynamics import (
     link_frames,
     place_capsules,
 )
-from contact_reach_ros.planning.transfer.lanes import collect, dot, make_keep, single
+from contact_reach_ros.planning.transfer.lanes import collect, dot, single
 from contact_reach_ros.planning.transfer.model import load_system
 from contact_reach_ros.planning.transfer.pipeline import Pose, Reference, joint_acceleration
 from contact_reach_ros.scenes.generate import load_scene
@@ -177,10 +177,9 @@ class _World:
         # C of each candidate by Brax's own inverse dynamics.
         bias = jax.vmap(brax_dynamics.inverse, in_axes=(None, 0))(self.system, state)[:, -self.arm.n :]
         arm, (q, v) = self.arm, self.joints(state)
-        keep = make_keep(q)
-        frames = link_frames(arm, q, keep)
-        dynamics = arm_dynamics(arm, frames, keep)
-        drift = flange_drift(frames, v, keep)
+        frames = link_frames(arm, q)
+        dynamics = arm_dynamics(arm, frames)
+        drift = flange_drift(frames, v)
         # Without contact the law makes the arm move as M q̈ = τ − C − g.
         acceleration = joint_acceleration(self.gains, frames, dynamics, drift, q, v, reference, None, 0.0)
         mass_matrix = dynamics.mass_matrix
@@ -204,9 +203,7 @@ class _World:
             return jnp.zeros((links, len(force)), force.dtype)
         q, _ = self.joints(state)
         displacement, _ = self.spheres(state)
-        start, segment = (
-            points[:, :, None] for points in place_capsules(self.arm, link_frames(self.arm, q, make_keep(q)))
-        )
+        start, segment = (points[:, :, None] for points in place_capsules(self.arm, link_frames(self.arm, q)))
         to_sphere = (self.obstacles.rest + displacement.T)[:, None] - start
         share = jnp.clip(dot(to_sphere, segment) / dot(segment, segment), 0.0, 1.0)
         gap = share[None] * segment - to_sphere

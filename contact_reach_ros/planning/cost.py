@@ -17,7 +17,7 @@ from contact_reach_ros.planning.settings import BOUNDS, POSTURE_BOUND, ROTATION_
 from contact_reach_ros.planning.terms import Context, Number, Problem, Rollout, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.dynamics import Capsules, link_frames, place_capsules
-from contact_reach_ros.planning.transfer.lanes import collect, make_keep
+from contact_reach_ros.planning.transfer.lanes import collect
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.planning.transfer.pipeline import N_TASK, Pose, Reference, System
 
@@ -118,7 +118,7 @@ class Objective:
 
     def end_of_knot(self, q: jax.Array) -> tuple[Pose, Capsules]:
         """Flange pose and capsules at joint angles `q` (n, B)."""
-        frames = link_frames(self.system.arm, q, make_keep(q))
+        frames = link_frames(self.system.arm, q)
         return Pose(frames.flange, frames.flange_rotation), place_capsules(self.system.arm, frames)
 
     def terms(self, problem: Problem, actions: jax.Array, rollout: Rollout) -> dict[str, jax.Array]:

@@ -11,6 +11,7 @@ from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.goal import HOLD, ORIENTATIONS
 
 PIPELINES = ("closed_loop", "generalized")
+AUTO, XLA = BACKENDS = ("auto", "xla")
 BOUNDS, PAPER = SAMPLINGS = ("bounds", "paper")
 
 ROTATION_BOUND = POSTURE_BOUND = 0.2
@@ -28,6 +29,11 @@ class PlanningSettings(Settings):
         "closed_loop",
         "transfer model: this package's, or Brax's own for comparison, which is much slower",
         choices=PIPELINES,
+    )
+    backend: str = setting(
+        AUTO,
+        "compiler of the cost: this package's on a CPU, which is two to three times as fast, XLA elsewhere; or XLA",
+        choices=BACKENDS,
     )
     goal_weight: float = setting(1.0, "λ1 of (5): distance to the goal", unit="1/m", minimum=0.0, maximum=100.0)
     progress_weight: float = setting(

@@ -29,7 +29,7 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.dynamics import Capsules
-from contact_reach_ros.planning.transfer.lanes import dot, make_keep, sum_over
+from contact_reach_ros.planning.transfer.lanes import dot, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
 from contact_reach_ros.planning.transfer.pipeline import N_TASK, Pose, Reference
 
@@ -325,7 +325,7 @@ def lead_change(context: Context) -> jax.Array:
 def clearance(context: Context) -> jax.Array:
     """Squared intrusion into the margin around rigid bodies and the arm's own links at the ends of the knots, m²."""
     capsules = jax.tree.map(lambda boundaries: boundaries[1:], context.rollout.capsules)
-    return intrusion(context.arm, capsules, context.problem.bodies, CLEARANCE_MARGIN, make_keep(capsules.start))
+    return intrusion(context.arm, capsules, context.problem.bodies, CLEARANCE_MARGIN)
 
 
 def _length(vectors: jax.Array) -> jax.Array:

@@ -14,7 +14,6 @@ from contact_reach_ros.planning.obstacles import BLOCKS, PLANES, check_motion, n
 from contact_reach_ros.planning.settings import ReplanningSettings
 from contact_reach_ros.planning.transfer.clearance import intrusion
 from contact_reach_ros.planning.transfer.dynamics import link_frames, place_capsules
-from contact_reach_ros.planning.transfer.lanes import make_keep
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.world.collision import body_distances, nearest
@@ -57,8 +56,7 @@ def program():
     arm = arm_model(ARM)
 
     def run(q, bodies, margin):
-        keep = make_keep(q)
-        return intrusion(arm, place_capsules(arm, link_frames(arm, q, keep)), bodies, margin, keep)
+        return intrusion(arm, place_capsules(arm, link_frames(arm, q)), bodies, margin)
 
     return jax.jit(run)
 

@@ -69,4 +69,5 @@ def test_a_deadline_that_has_passed_leaves_one_step_and_the_limit_of_steps_ends_
     solution = solve(until=time.perf_counter() - 1.0)
     assert (solution.stop_reason, solution.steps) == ("deadline", 1)
     assert solution.cost < solution.costs[0]
-    assert solution.cost == float(quadratic(jnp.asarray(MINIMUM), jnp.asarray(solution.best)[:, None])[0])
+    best = jnp.asarray(solution.best)[:, None]
+    assert solution.cost == pytest.approx(float(quadratic(jnp.asarray(MINIMUM), best)[0]), rel=1e-6)

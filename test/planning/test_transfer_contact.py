@@ -11,7 +11,6 @@ from contact_reach_ros.arm import link_frames as table_frames
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, contact_step, response
 from contact_reach_ros.planning.transfer.dynamics import link_frames
-from contact_reach_ros.planning.transfer.lanes import make_keep
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.world.collision import clearances
 from contact_reach_ros.world.spheres import Spheres
@@ -30,9 +29,8 @@ FOREARM = 3
 def touch():
     @jax.jit
     def run(q: jax.Array, obstacles: Obstacles) -> Contact:
-        keep = make_keep(q)
-        frames = link_frames(arm_model(ARM), q, keep)
-        return contact_step(arm_model(ARM), frames, obstacles, STIFFNESS, AN_INSTANT, keep)
+        frames = link_frames(arm_model(ARM), q)
+        return contact_step(arm_model(ARM), frames, obstacles, STIFFNESS, AN_INSTANT)
 
     return lambda q, obstacles: jax.tree.map(np.asarray, run(jnp.asarray(q)[:, None], obstacles))
 

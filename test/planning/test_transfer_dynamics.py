@@ -14,7 +14,7 @@ from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.planning.transfer import model
 from contact_reach_ros.planning.transfer.dynamics import arm_dynamics, flange_drift, link_frames
-from contact_reach_ros.planning.transfer.lanes import cosine_and_sine, make_keep
+from contact_reach_ros.planning.transfer.lanes import cosine_and_sine
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.planning.transfer.pipeline import Reference, pose_error
 
@@ -38,10 +38,9 @@ def computed(arm) -> tuple[np.ndarray, ...]:
 
     @jax.jit
     def run(q: jax.Array, v: jax.Array) -> tuple[jax.Array, ...]:
-        keep = make_keep(q)
-        frames = link_frames(arm_model(arm), q, keep)
-        dynamics = arm_dynamics(arm_model(arm), frames, keep)
-        drift = flange_drift(frames, v, keep)
+        frames = link_frames(arm_model(arm), q)
+        dynamics = arm_dynamics(arm_model(arm), frames)
+        drift = flange_drift(frames, v)
         error = pose_error(frames, Reference(jnp.asarray(POSITION)[:, None], turned(frames.flange_rotation), q))
         return frames.flange, frames.flange_rotation, dynamics.jacobian, dynamics.mass_matrix, drift, error
 
@@ -92,7 +91,7 @@ def test_the_model_is_the_arm_of_the_mjcf(monkeypatch):
     monkeypatch.setattr(model, "build_mjcf", lambda arm: build_mjcf(other))
     arm_model.cache_clear()
     try:
-        flange = link_frames(arm_model(ARM), HOME[:, None], make_keep(HOME[:, None])).flange[:, 0]
+        flange = link_frames(arm_model(ARM), HOME[:, None]).flange[:, 0]
     finally:
         arm_model.cache_clear()
     np.testing.assert_allclose(flange, RobotModel(other).tip_pose(HOME)[0], rtol=0, atol=1e-5)

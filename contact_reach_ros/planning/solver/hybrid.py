@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable
@@ -11,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from contact_reach_ros.planning.lanes.compiled import by_lanes
 from contact_reach_ros.planning.settings import PAPER, PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, fresh, sample, shift_distribution, update
 from contact_reach_ros.planning.solver.solver import CostFunction, Solution
@@ -28,9 +30,6 @@ _BOUNDARY_WEIGHT = 0.3
 
 GRADIENT_REACH = 2.0
 """β = 1 moves the variable with the steepest slope by this: from one side of its bounds to the other."""
-
-_VECTOR = 8
-"""Numbers in a vector register of common CPUs."""
 
 
 class Search(NamedTuple):
@@ -95,7 +94,8 @@ class HybridSolver:
     shift = staticmethod(shift_distribution)
 
     def __init__(self, cost: CostFunction, n: int, settings: PlanningSettings) -> None:
-        self._cost = cost
+        self._cost = by_lanes(cost, settings.backend)
+        self._slopes = by_lanes(functools.partial(slopes, cost), settings.backend)
         self._settings = settings
         self._seed = settings.seed
         self.max_steps = settings.max_steps
@@ -152,24 +152,10 @@ class HybridSolver:
     def _search_line(
         self, problem: Any, sample: Sample, draw: Draw, select: Callable[[jax.Array], Elite]
     ) -> tuple[Elite, jax.Array, jax.Array]:
-        """The elite, the points (n, k) of the line search and their costs (k,).
-
-        Candidates and line are rounds of one loop, so that the program has the code of their costs, half of the time
-        to compile it, only once.
-        """
-        nothing = jnp.zeros_like(sample.points[0])
-        shapes = jax.eval_shape(select, nothing)
-        nobody = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), shapes)
-
-        def search(index: jax.Array, last: tuple[Elite, jax.Array, jax.Array]) -> tuple[Elite, jax.Array, jax.Array]:
-            def line() -> tuple[Elite, jax.Array]:
-                elite = select(last[2])
-                return elite, self._points_on_line(problem, elite.mean, draw)
-
-            elite, points = jax.lax.cond(index == 0, lambda: last[:2], line)
-            return elite, points, self._cost(problem, points)
-
-        return jax.lax.fori_loop(0, 2, search, (nobody, sample.repaired, nothing))
+        """The elite, the points (n, k) of the line search and their costs (k,)."""
+        elite = select(self._cost(problem, sample.repaired))
+        points = self._points_on_line(problem, elite.mean, draw)
+        return elite, points, self._cost(problem, points)
 
     def _draw_sample(self, distribution: Distribution, draw: Draw) -> Sample:
         """Lines 6 and 7."""
@@ -200,7 +186,8 @@ class HybridSolver:
 
         `line` counts the line searches of one step, for solvers with several.
         """
-        slope = gradient(self._cost, problem, mean)
+        directions = jnp.eye(len(mean), dtype=mean.dtype)
+        slope = self._slopes((problem, mean[:, None]), directions)
         slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
         direction = GRADIENT_REACH * slope / (jnp.abs(slope).max() + 1e-12)
         beta = jax.random.uniform(seeded_key((*draw, line), 1), (self._settings.population,), mean.dtype) ** 2
@@ -220,17 +207,15 @@ class HybridSolver:
         )
 
 
-def gradient(cost: CostFunction, problem: Any, point: jax.Array) -> jax.Array:
-    """∂L/∂a (n,) at a point (n,), in forward mode with the variables as lanes.
+def slopes(cost: CostFunction, given: tuple[Any, jax.Array], directions: jax.Array) -> jax.Array:
+    """Derivatives (B,) of the cost along directions (n, B), for a problem and at a point (n, 1).
 
-    Reverse mode at one lane is slower for n = 39, and takes twice as long to compile. The lanes are filled up to whole
-    vector registers; otherwise forward mode would take a third longer.
+    In forward mode, with the directions as lanes: reverse mode is slower for n = 39.
     """
-    n = point.shape[0]
-    directions = jnp.eye(n, -(-n // _VECTOR) * _VECTOR, dtype=point.dtype)
-    points = jnp.broadcast_to(point[:, None], directions.shape)
-    slopes: jax.Array = jax.jvp(lambda points: cost(problem, points), (points,), (directions,))[1]
-    return slopes[:n]
+    problem, point = given
+    points = jnp.broadcast_to(point, directions.shape)
+    derivatives: jax.Array = jax.jvp(functools.partial(cost, problem), (points,), (directions,))[1]
+    return derivatives
 
 
 def ranked_costs(costs: jax.Array) -> jax.Array:

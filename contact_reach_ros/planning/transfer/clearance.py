@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from contact_reach_ros.planning.transfer.dynamics import Capsules
-from contact_reach_ros.planning.transfer.lanes import Keep, dot, sum_over
+from contact_reach_ros.planning.transfer.lanes import dot, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
 
 _NEWTON_STEPS = 2
@@ -34,9 +34,7 @@ class Bodies(NamedTuple):
     """(3, Q, 1) half of their size along these axes, m."""
 
 
-def intrusion(
-    arm: ArmModel, capsules: Capsules, bodies: Bodies | None, margin: float | jax.Array, keep: Keep
-) -> jax.Array:
+def intrusion(arm: ArmModel, capsules: Capsules, bodies: Bodies | None, margin: float | jax.Array) -> jax.Array:
     """Σ max(margin − distance, 0)² (..., B), m², over the capsules and bodies and the pairs that can touch.
 
     Parameters
@@ -58,15 +56,15 @@ def intrusion(
             normal = bodies.normal[:, plane]
             nearest = dot(normal, start) - bodies.offset[plane] + jnp.minimum(dot(normal, axis), 0.0)
             distances.append(nearest - radius)
-        distances += [distance - radius for distance in _from_blocks(bodies, start, axis, keep)]
+        distances += [distance - radius for distance in _from_blocks(bodies, start, axis)]
     total = jnp.zeros((*start.shape[1:-2], start.shape[-1]), start.dtype)
     for distance in distances:
-        short = keep(jnp.maximum(margin - distance, 0.0))
+        short = jnp.maximum(margin - distance, 0.0)
         total = total + sum_over(short * short, distance.ndim - 2)
     return total
 
 
-def _from_blocks(bodies: Bodies, start: jax.Array, axis: jax.Array, keep: Keep) -> list[jax.Array]:
+def _from_blocks(bodies: Bodies, start: jax.Array, axis: jax.Array) -> list[jax.Array]:
     """Distances (..., C, B) of segments (3, ..., C, B) from each block, m; zero where they enter it.
 
     Along a segment the squared distance is convex and piecewise quadratic: Newton's method from the middle finds its
@@ -76,8 +74,8 @@ def _from_blocks(bodies: Bodies, start: jax.Array, axis: jax.Array, keep: Keep) 
     for block in range(bodies.half.shape[1]):
         axes, half = bodies.axes[:, :, block], bodies.half[:, block]
         from_center = [start[row] - bodies.center[row, block] for row in range(3)]
-        origin = keep(jnp.stack([dot(own, from_center) for own in axes]))
-        along = keep(jnp.stack([dot(own, axis) for own in axes]))
+        origin = jnp.stack([dot(own, from_center) for own in axes])
+        along = jnp.stack([dot(own, axis) for own in axes])
         share = jnp.full(start.shape[1:], 0.5, start.dtype)
         for _ in range(_NEWTON_STEPS):
             beyond = _beyond(half, origin, along, share)

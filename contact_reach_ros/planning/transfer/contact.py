@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from contact_reach_ros.planning.transfer.dynamics import Frames, place_capsules
-from contact_reach_ros.planning.transfer.lanes import Keep, collect, cross, dot, suffix_sum, sum_over
+from contact_reach_ros.planning.transfer.lanes import collect, cross, dot, suffix_sum, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
 
 _CONTACT_INSTANT = 0.7
@@ -73,7 +73,6 @@ def contact_step(
     obstacles: Obstacles,
     contact_stiffness: float,
     timestep: float | jax.Array,
-    keep: Keep,
 ) -> Contact:
     """Contact over a step of `timestep` seconds with the links at the given frames; `contact_stiffness` in N/m.
 
@@ -82,32 +81,32 @@ def contact_step(
     is joined to, whose shares are estimated from their depths. That is exact where one sphere is touched, and never too
     much in total.
     """
-    start, segment = (keep(points) for points in place_capsules(arm, frames))
+    start, segment = place_capsules(arm, frames)
     inverse_square = (1.0 / (arm.capsule_axis**2).sum(axis=1))[:, None, None]
     touched_relaxation, touched_compliance = response(obstacles, _CONTACT_INSTANT * timestep)
     relaxation, compliance = response(obstacles, timestep)
     displacement = obstacles.center - obstacles.rest
-    relaxed = keep(obstacles.rest + _joined(touched_relaxation, displacement))
+    relaxed = obstacles.rest + _joined(touched_relaxation, displacement)
     # From here on (3, capsule, sphere, B).
     to_sphere = relaxed[:, None] - start[:, :, None]
-    share = keep(jnp.clip(dot(to_sphere, segment[:, :, None]) * inverse_square, 0.0, 1.0))
+    share = jnp.clip(dot(to_sphere, segment[:, :, None]) * inverse_square, 0.0, 1.0)
     gap = share[None] * segment[:, :, None] - to_sphere
-    square = keep(dot(gap, gap) + 1e-9)  # keeps the derivative finite where axis and centre meet
+    square = dot(gap, gap) + 1e-9  # keeps the derivative finite where axis and centre meet
     inverse_distance = jax.lax.rsqrt(square)
     reach = arm.capsule_radius[:, None, None] + obstacles.radius[None]
-    depth = keep(jnp.maximum(reach - square * inverse_distance, 0.0))
+    depth = jnp.maximum(reach - square * inverse_distance, 0.0)
     # How far a sphere yields per force on it, from estimated shares of the force that are corrected once.
     entered = sum_over(depth, 0)[None]
     yielding = _joined(touched_compliance, entered) / (entered + _TOUCH)
-    shares = keep(entered / (1.0 + contact_stiffness * yielding))
+    shares = entered / (1.0 + contact_stiffness * yielding)
     yielding = (_joined(touched_compliance, shares) / (shares + _TOUCH))[0]
-    force = keep(depth * (contact_stiffness / (1.0 + contact_stiffness * yielding)))
-    on_capsule = keep(gap * keep(force * inverse_distance)[None])
-    total = keep(sum_over(on_capsule, 2))
+    force = depth * (contact_stiffness / (1.0 + contact_stiffness * yielding))
+    on_capsule = gap * (force * inverse_distance)
+    total = sum_over(on_capsule, 2)
     # Σ (start + share * segment) x force, with the sum taken before any cross product.
-    weighted = keep(sum_over(on_capsule * share[None], 2))
+    weighted = sum_over(on_capsule * share[None], 2)
     moment = cross(start, total) + cross(segment, weighted)
-    beyond = keep(suffix_sum(keep(collect(jnp.concatenate([total, moment]), arm.capsule_link, arm.n))))
+    beyond = suffix_sum(collect(jnp.concatenate([total, moment]), arm.capsule_link, arm.n))
     return Contact(
         joint_torque=dot(frames.z, beyond[3:] - cross(frames.origin, beyond[:3])),
         link_force=collect(sum_over(force, 1)[None], arm.capsule_place, len(arm.contact_links))[0],

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from contact_reach_ros.planning.transfer.lanes import (
-    Keep,
     combine,
     cosine_and_sine,
     cross,
@@ -49,17 +48,17 @@ class Frames(NamedTuple):
         return jnp.stack(self.flange_axes, axis=1)
 
 
-def link_frames(arm: ArmModel, q: jax.Array, keep: Keep) -> Frames:
+def link_frames(arm: ArmModel, q: jax.Array) -> Frames:
     """Frames of the links at joint angles `q` (n, B)."""
-    cosine, sine = (keep(part) for part in cosine_and_sine(q))
+    cosine, sine = cosine_and_sine(q)
     identity = np.eye(3)[:, :, None]
     axes = [jnp.broadcast_to(identity[:, column], (3, q.shape[1])).astype(q.dtype) for column in range(3)]
     origin = jnp.zeros_like(axes[0])
     frames = []
     for joint in range(arm.n):
-        origin = keep(origin + combine(axes, arm.joint_offset[joint]))
+        origin = origin + combine(axes, arm.joint_offset[joint])
         x, y, z = (combine(axes, arm.joint_rotation[joint][:, column]) for column in range(3))
-        axes = [keep(x * cosine[joint] + y * sine[joint]), keep(y * cosine[joint] - x * sine[joint]), z]
+        axes = [x * cosine[joint] + y * sine[joint], y * cosine[joint] - x * sine[joint], z]
         frames.append((*axes, origin))
     flange = origin + combine(axes, arm.flange_offset)
     x, y, z, origins = (jnp.stack(parts, axis=1) for parts in zip(*frames, strict=True))
@@ -84,15 +83,15 @@ def place_capsules(arm: ArmModel, frames: Frames) -> Capsules:
     return Capsules(start, combine(axes, per_link(arm.capsule_axis)))
 
 
-def flange_drift(frames: Frames, v: jax.Array, keep: Keep) -> jax.Array:
+def flange_drift(frames: Frames, v: jax.Array) -> jax.Array:
     """J̇ q̇ (6, B): the flange's acceleration, linear then angular, while the joints keep their speeds `v` (n, B)."""
     rates = frames.z * v
-    angular_velocity = keep(prefix_sum(rates))
-    angular_acceleration = keep(prefix_sum(cross(angular_velocity, rates)))
+    angular_velocity = prefix_sum(rates)
+    angular_acceleration = prefix_sum(cross(angular_velocity, rates))
     ends = jnp.concatenate([frames.origin[:, 1:], frames.flange[:, None]], axis=1)
     lever = ends - frames.origin
-    centripetal = cross(angular_velocity, keep(cross(angular_velocity, lever)))
-    linear = keep(cross(angular_acceleration, lever) + centripetal)
+    centripetal = cross(angular_velocity, cross(angular_velocity, lever))
+    linear = cross(angular_acceleration, lever) + centripetal
     return jnp.concatenate([sum_over(linear, 1), angular_acceleration[:, -1]])
 
 
@@ -109,14 +108,14 @@ class Dynamics(NamedTuple):
     """(n, n, B), kg m², armature included; only entries [i, j] with i ≤ j are valid."""
 
 
-def arm_dynamics(arm: ArmModel, frames: Frames, keep: Keep) -> Dynamics:
+def arm_dynamics(arm: ArmModel, frames: Frames) -> Dynamics:
     """Jacobian and mass matrix at the given frames, by the composite-rigid-body algorithm."""
-    axis = keep(frames.z)
-    jacobian = keep(jnp.concatenate([cross(axis, frames.flange[:, None] - frames.origin), axis]))
+    axis = frames.z
+    jacobian = jnp.concatenate([cross(axis, frames.flange[:, None] - frames.origin), axis])
     # First moment, moments (xx, yy, zz) and products (yz, zx, xy) of the links from each one on, each (3, n, B).
     axes = (frames.x, frames.y, frames.z)
-    center = keep(frames.origin + combine(axes, per_link(arm.center_of_mass)) - frames.flange[:, None])
-    first = keep(center * arm.mass[:, None])
+    center = frames.origin + combine(axes, per_link(arm.center_of_mass)) - frames.flange[:, None]
+    first = center * arm.mass[:, None]
     diagonal = dot(first, center)[None] - first * center
     products = [-first[b] * center[c] for _, b, c in _CYCLES]
     # Σ_ab I_ab axis_a axis_bᵀ, the inertia about the centre of mass in base axes.
@@ -124,22 +123,20 @@ def arm_dynamics(arm: ArmModel, frames: Frames, keep: Keep) -> Dynamics:
         column = combine(axes, per_link(arm.inertia[:, index]))
         diagonal = diagonal + column * own
         products = [product + column[b] * own[c] for product, (_, b, c) in zip(products, _CYCLES, strict=True)]
-    parts = (first, diagonal, jnp.stack([keep(product) for product in products]))
-    first, diagonal, off_diagonal = (keep(suffix_sum(keep(part))) for part in parts)
+    parts = (first, diagonal, jnp.stack(products))
+    first, diagonal, off_diagonal = (suffix_sum(part) for part in parts)
     composite_mass = np.cumsum(arm.mass[::-1])[::-1][:, None]
     # Component by component: XLA computes stacked rows several times slower than separate ones.
     # Momentum of everything beyond a joint when that joint alone turns at unit speed.
     velocity = jacobian[:3]
-    linear = [keep(velocity[a] * composite_mass + axis[b] * first[c] - axis[c] * first[b]) for a, b, c in _CYCLES]
+    linear = [velocity[a] * composite_mass + axis[b] * first[c] - axis[c] * first[b] for a, b, c in _CYCLES]
     # Row a of the inertia tensor: its moment and the products with b and c.
     angular = [
-        keep(
-            first[b] * velocity[c]
-            - first[c] * velocity[b]
-            + diagonal[a] * axis[a]
-            + off_diagonal[c] * axis[b]
-            + off_diagonal[b] * axis[c]
-        )
+        first[b] * velocity[c]
+        - first[c] * velocity[b]
+        + diagonal[a] * axis[a]
+        + off_diagonal[c] * axis[b]
+        + off_diagonal[b] * axis[c]
         for a, b, c in _CYCLES
     ]
     momentum = [*linear, *angular]

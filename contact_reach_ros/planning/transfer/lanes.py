@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
-
-Keep = Callable[[jax.Array], jax.Array]
-"""Returns its argument unchanged, but makes XLA store it instead of computing it again for every reader."""
 
 _PI_HIGH = 3.140625
 """π as the sum of two numbers, of which multiples of the first are exact."""
@@ -29,42 +27,6 @@ def single(values: ArrayLike) -> jax.Array:
     They stay in numpy, which the programs take directly: turning each into a JAX array costs more than many programs.
     """
     return cast(jax.Array, np.asarray(values, dtype=np.float32))
-
-
-def make_keep(value: jax.Array) -> Keep:
-    """A `Keep` for programs that have `value`, any array of finite numbers, among their inputs.
-
-    XLA on CPU fuses cheap producers into each of their consumers and ignores optimisation barriers, so that long chains
-    are computed again and again. But it does not repeat a division: dividing by a number that happens to be 1, which
-    the compiler cannot know, is the barrier.
-    """
-    one = jnp.where(value.ravel()[0] > 1e30, 2.0, 1.0).astype(value.dtype)
-    return lambda array: array / one
-
-
-@jax.custom_jvp
-def ratio(a: jax.Array, b: jax.Array) -> jax.Array:
-    """The quotient a / b, whose derivative also ends in a division and is therefore computed only once."""
-    return a / b
-
-
-@ratio.defjvp
-def _ratio_derivative(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
-    (a, b), (a_tangent, b_tangent) = primals, tangents
-    quotient = a / b
-    return quotient, (a_tangent - quotient * b_tangent) / b
-
-
-@jax.custom_jvp
-def root(a: jax.Array) -> jax.Array:
-    """The square root, whose derivative ends in a division and is therefore computed only once."""
-    return jnp.sqrt(a)
-
-
-@root.defjvp
-def _root_derivative(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
-    value = jnp.sqrt(primals[0])
-    return value, (0.5 * tangents[0]) / value
 
 
 @jax.custom_jvp
@@ -154,23 +116,13 @@ def sum_over(array: jax.Array, axis: int) -> jax.Array:
 
 
 def suffix_sum(array: jax.Array) -> jax.Array:
-    """Sums (C, L, B) -> (C, L, B) over the links from each one to the last, in log₂ L steps."""
-    shift = 1
-    while shift < array.shape[1]:
-        moved = jnp.concatenate([array[:, shift:], jnp.zeros_like(array[:, :shift])], axis=1)
-        array = array + moved
-        shift *= 2
-    return array
+    """Sums (C, L, B) -> (C, L, B) over the links from each one to the last."""
+    return prefix_sum(array[:, ::-1])[:, ::-1]
 
 
 def prefix_sum(array: jax.Array) -> jax.Array:
-    """Sums (C, L, B) -> (C, L, B) over the links from the first to each one, in log₂ L steps."""
-    shift = 1
-    while shift < array.shape[1]:
-        moved = jnp.concatenate([jnp.zeros_like(array[:, :shift]), array[:, :-shift]], axis=1)
-        array = array + moved
-        shift *= 2
-    return array
+    """Sums (C, L, B) -> (C, L, B) over the links from the first to each one."""
+    return jnp.stack(list(itertools.accumulate(array[:, link] for link in range(array.shape[1]))), axis=1)
 
 
 def rotate(rotation_vector: jax.Array, columns: jax.Array) -> jax.Array:

@@ -31,7 +31,7 @@ from contact_reach_ros.arm.task import AXIS, POSE
 from contact_reach_ros.control.settings import JOINT_SHARE, SINGULARITY_FLOOR, ImpedanceSettings
 from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, contact_step
 from contact_reach_ros.planning.transfer.dynamics import Dynamics, Frames, arm_dynamics, flange_drift, link_frames
-from contact_reach_ros.planning.transfer.lanes import cross, dot, make_keep, ratio, root, rotate
+from contact_reach_ros.planning.transfer.lanes import cross, dot, rotate
 from contact_reach_ros.planning.transfer.model import ArmModel
 
 N_TASK = 6
@@ -99,7 +99,7 @@ class Pose(NamedTuple):
 
 def tip_pose(sys: System, q: jax.Array) -> Pose:
     """Flange pose at joint angles `q` (n, B)."""
-    frames = link_frames(sys.arm, q, make_keep(q))
+    frames = link_frames(sys.arm, q)
     return Pose(frames.flange, frames.flange_rotation)
 
 
@@ -123,15 +123,14 @@ def latch(sys: System, q: jax.Array, pose: Pose, action: jax.Array) -> Reference
 def step(sys: System, state: State, act: Reference) -> State:
     """Advance by one time step under the reference `act`: half a drift, a kick, half a drift."""
     timestep = sys.timestep
-    keep = make_keep(state.q)
     q = state.q + (0.5 * timestep) * state.qd
-    frames = link_frames(sys.arm, q, keep)
-    dynamics = arm_dynamics(sys.arm, frames, keep)
-    drift = flange_drift(frames, state.qd, keep)
+    frames = link_frames(sys.arm, q)
+    dynamics = arm_dynamics(sys.arm, frames)
+    drift = flange_drift(frames, state.qd)
     contact = None
     obstacles, link_force = state.obstacles, state.link_force
     if obstacles is not None:
-        contact = contact_step(sys.arm, frames, obstacles, sys.contact_stiffness, timestep, keep)
+        contact = contact_step(sys.arm, frames, obstacles, sys.contact_stiffness, timestep)
         obstacles = obstacles._replace(center=contact.center)
         link_force = contact.link_force
     acceleration = joint_acceleration(sys.gains, frames, dynamics, drift, q, state.qd, act, contact, timestep)
@@ -202,7 +201,7 @@ def joint_acceleration(
             total = total + row[axis] * wrench[axis]
         for later in range(joint + 1, n):
             total = total - factor[joint][later - joint] * acceleration[later]
-        acceleration[joint] = ratio(total, pivots[joint])
+        acceleration[joint] = total / pivots[joint]
     return jnp.stack(acceleration)
 
 
@@ -244,9 +243,9 @@ def factorise_mass(mass_matrix: jax.Array, rows: jax.Array) -> tuple[list[jax.Ar
         for earlier in range(joint):
             passed = columns[earlier][joint - earlier :]
             column = column - passed * passed[0][None]
-        pivot = root(column[0])
+        pivot = jnp.sqrt(column[0])
         pivots.append(pivot)
-        columns.append(ratio(column, pivot[None]))
+        columns.append(column / pivot[None])
     below = [column[: n - joint] for joint, column in enumerate(columns)]
     appended = [column[n - joint :] for joint, column in enumerate(columns)]
     return below, appended, pivots
@@ -276,13 +275,13 @@ def _task_wrench(
             column = column - passed * passed[0][None]
         # Below the floor, floor/2 · (1 + (pivot/floor)²), as in the controller.
         share = jnp.clip(column[0] * (1.0 / floor), 0.0, 1.0)
-        pivot = root(jnp.maximum(column[0], (0.5 * floor) * (1.0 + share * share)))
+        pivot = jnp.sqrt(jnp.maximum(column[0], (0.5 * floor) * (1.0 + share * share)))
         pivots.append(pivot)
-        columns.append(ratio(column, pivot[None]))
+        columns.append(column / pivot[None])
     wrench: list[jax.Array] = [desired[0]] * n_task
     for axis in reversed(range(n_task)):
         total = columns[axis][n_task - axis]
         for later in range(axis + 1, n_task):
             total = total - columns[axis][later - axis] * wrench[later]
-        wrench[axis] = ratio(total, pivots[axis])
+        wrench[axis] = total / pivots[axis]
     return wrench

@@ -1,0 +1,141 @@
+"""The compiler of functions of candidates: against XLA, and where it has to give way to it."""
+
+import logging
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from planning_helpers import FAR_BALL, FLANGE, HOME, SMALL, ball, beside_forearm, make_objective, make_problem
+
+from contact_reach_ros.planning.lanes import compiled
+from contact_reach_ros.planning.lanes.compiled import by_lanes
+from contact_reach_ros.planning.settings import AUTO, BACKENDS, XLA
+from contact_reach_ros.planning.solver.hybrid import slopes
+
+CANDIDATES = np.random.default_rng(3).uniform(-1.0, 1.0, (5, 21)).astype(np.float32)
+"""More than two vectors of 8 lanes, and not a multiple."""
+GIVEN = {"weights": np.linspace(0.5, 1.5, 5, dtype=np.float32), "offset": np.float32(0.3)}
+
+
+def both(function, given=GIVEN, candidates=CANDIDATES):
+    """What the function returns by lanes and by XLA."""
+    return [np.asarray(jax.jit(by_lanes(function, backend))(given, candidates)) for backend in BACKENDS]
+
+
+def with_loops(given, candidates):
+    """Loops in loops, that carry, list and stack numbers that differ between lanes, and others that do not."""
+
+    def inner(carry, row):
+        total, factor = carry
+        return (total + factor * row, 0.5 * factor), row * factor
+
+    def outer(carry, rows):
+        (total, factor), stacked = jax.lax.scan(inner, (carry, given["offset"]), rows)
+        return total * factor, stacked.sum(axis=0)
+
+    rows = candidates[None] * given["weights"][:3, None, None]
+    last, stacked = jax.lax.scan(outer, jnp.zeros(candidates.shape[1]), rows, reverse=True)
+    return last + stacked.max(axis=0)
+
+
+def with_functions(given, candidates):
+    """Functions of the C library, contractions, masks and whatever else the cost has none of."""
+    rows = jnp.tanh(candidates) + jnp.exp(given["offset"]) * jnp.sin(candidates) - jnp.arctan2(candidates, 2.0)
+    matrix = jnp.outer(given["weights"], given["weights"]) + jnp.eye(5)
+    rows = matrix @ rows + jnp.cumsum(candidates, axis=0)
+    chosen = jnp.where((candidates > 0.2) & ~(candidates > 0.7), rows, jnp.sign(candidates) * candidates**3)
+    chosen = jnp.where((candidates > 0.0).any(axis=0), chosen, -chosen)
+    return (chosen / (1.0 + candidates**2)).sum(axis=0) + rows[::2].min(axis=0)
+
+
+@pytest.mark.parametrize("function", [with_loops, with_functions])
+def test_it_computes_what_xla_computes(function):
+    by_lane, by_xla = both(function)
+    np.testing.assert_allclose(by_lane, by_xla, rtol=2e-6, atol=2e-6)
+
+
+@pytest.fixture(scope="module")
+def space_cost():
+    """Cost of actions (3, 13, B) as points (39, B)."""
+    objective = make_objective()
+    scale = np.array([0.01] * 3 + [0.2] * 10, np.float32)[:, None]
+    return lambda problem, points: objective.cost(problem, points.reshape(3, 13, -1) * scale)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("center", [FAR_BALL, beside_forearm(-0.01)], ids=["without contact", "in contact"])
+def test_cost_and_gradient_of_a_plan_are_those_of_xla(space_cost, center, quick_compilation):
+    problem = make_problem(HOME, FLANGE + np.array([0.1, 0.1, -0.05]), ball(center), contact=0.01)
+    random = np.random.default_rng(0)
+    points = np.clip(0.3 * random.standard_normal((39, SMALL.population)), -1.0, 1.0).astype(np.float32)
+    costs, reference = both(space_cost, problem, points)
+    np.testing.assert_allclose(costs, reference, rtol=1e-5, atol=1e-5)
+    directions = np.eye(39, dtype=np.float32)[:, ::13]
+    own, expected = both(lambda given, along: slopes(space_cost, given, along), (problem, points[:, :1]), directions)
+    assert np.linalg.norm(own - expected) < 3e-5 * np.linalg.norm(expected)
+
+
+def test_not_a_number_comes_through():
+    def spoiled(given, candidates):
+        return jnp.maximum(jnp.minimum(candidates[0], candidates[1]), jnp.clip(candidates[2], -0.5, 0.5))
+
+    candidates = CANDIDATES.copy()
+    for row in range(3):
+        candidates[row, row] = np.nan
+    by_lane, by_xla = both(spoiled, GIVEN, candidates)
+    assert np.isnan(by_lane[:3]).all()
+    np.testing.assert_array_equal(by_lane, by_xla)
+
+
+def test_the_same_candidates_have_the_same_bits_wherever_they_are():
+    function = jax.jit(by_lanes(with_functions, AUTO))
+    first = np.asarray(function(GIVEN, CANDIDATES))
+    np.testing.assert_array_equal(first, np.asarray(function(GIVEN, CANDIDATES)))
+    np.testing.assert_array_equal(first[::-1], np.asarray(function(GIVEN, CANDIDATES[:, ::-1])))
+    np.testing.assert_array_equal(first[4:6], np.asarray(function(GIVEN, CANDIDATES[:, 4:6])))
+
+
+def test_constants_that_differ_make_another_function():
+    results = []
+    for factor in (1.0, 2.0):
+        table = np.full(5, factor, np.float32)[:, None]
+        results.append(both(lambda given, candidates, table=table: (candidates * table).sum(axis=0))[0])
+    np.testing.assert_allclose(results[1], 2.0 * results[0], rtol=1e-6)
+
+
+def test_an_operation_that_it_does_not_know_is_left_to_xla_with_one_warning(caplog):
+    def sorting(given, candidates):
+        return jnp.sort(candidates, axis=0)[1] + given["offset"]
+
+    function = by_lanes(sorting, AUTO)
+    with caplog.at_level(logging.WARNING):
+        values = [np.asarray(jax.jit(function)(GIVEN, CANDIDATES[:, :count])) for count in (21, 8)]
+    np.testing.assert_allclose(values[0], np.sort(CANDIDATES, axis=0)[1] + 0.3, rtol=1e-6)
+    np.testing.assert_array_equal(values[0][:8], values[1])
+    (record,) = caplog.records
+    assert "'sort'" in record.getMessage()
+
+
+def test_with_xla_nothing_is_compiled_by_lanes(monkeypatch):
+    monkeypatch.setattr(compiled, "_target", lambda jaxpr: pytest.fail("compiled by lanes"))
+    jax.jit(by_lanes(lambda given, candidates: candidates.sum(axis=0), XLA))(GIVEN, CANDIDATES)
+
+
+@pytest.mark.parametrize("harm", [lambda content: content[:-5], lambda content: b"", lambda content: content[::-1]])
+def test_code_that_is_kept_is_used_and_made_anew_where_it_is_damaged_or_that_of_another(tmp_path, monkeypatch, harm):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    made = []
+
+    def kept(name: str) -> bytes:
+        return compiled._kept(name, lambda: made.append(name) or f"code of {name}".encode())
+
+    for _ in range(2):
+        assert kept("one") == b"code of one"
+    assert kept("other") == b"code of other"
+    one, other = (tmp_path / "contact_reach_ros" / name for name in made)
+    one.write_bytes(harm(one.read_bytes()))
+    assert kept("one") == b"code of one"
+    one.write_bytes(other.read_bytes())
+    assert [kept("one"), kept("one")] == [b"code of one"] * 2
+    assert made == ["one", "other", "one", "one"]
