@@ -65,7 +65,7 @@ def space_cost():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("center", [FAR_BALL, beside_forearm(-0.01)], ids=["without contact", "in contact"])
-def test_cost_and_gradient_of_a_plan_are_those_of_xla(space_cost, center, quick_compilation):
+def test_cost_and_gradient_of_a_plan_are_those_of_xla(space_cost, center):
     problem = make_problem(HOME, FLANGE + np.array([0.1, 0.1, -0.05]), ball(center), contact=0.01)
     random = np.random.default_rng(0)
     points = np.clip(0.3 * random.standard_normal((39, SMALL.population)), -1.0, 1.0).astype(np.float32)
