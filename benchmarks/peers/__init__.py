@@ -1,1 +1,0 @@
-"""Planners of other projects beside this package's, in one run; they live in an environment of their own."""
