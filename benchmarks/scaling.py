@@ -38,6 +38,7 @@ VARIANTS: dict[str, Sequence[Any]] = {
     "horizon": (3, 6, 9, 12),
     "spheres": (0, 1, 12, 40),
     "arm": ("ur10", "iiwa14"),
+    "backend": ("auto", "xla"),
 }
 """What is changed, and to what; "spheres" are those that the program takes."""
 SEEN = (1, 20, 500, 8000, 20000)
@@ -90,7 +91,7 @@ def _step(scene_name: str, name: str, value: Any) -> Report:
     file = read_scene(scene_name)
     scene = make_scene(file, load_arm(value) if name == "arm" else load_arm(), 0)
     settings = PlanningSettings(deadline=0.0, max_steps=_STEPS)
-    if name in ("population", "horizon"):
+    if name in ("population", "horizon", "backend"):
         settings = dataclasses.replace(settings, **{name: value})
     found: list[_TimedSolver] = []
 
