@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from planning_helpers import FAR_BALL, FLANGE, HOME, SMALL, ball, beside_forearm, make_objective, make_problem
 
-from contact_reach_ros.planning.lanes import compiled
+from contact_reach_ros.planning.lanes import compiled, trace
 from contact_reach_ros.planning.lanes.compiled import by_lanes
 from contact_reach_ros.planning.settings import AUTO, BACKENDS, XLA
 from contact_reach_ros.planning.solver.hybrid import slopes
@@ -115,6 +115,15 @@ def test_an_operation_that_it_does_not_know_is_left_to_xla_with_one_warning(capl
     np.testing.assert_array_equal(values[0][:8], values[1])
     (record,) = caplog.records
     assert "'sort'" in record.getMessage()
+
+
+def test_what_is_too_large_is_left_to_xla_with_one_warning(caplog, monkeypatch):
+    monkeypatch.setattr(trace, "MAX_NUMBERS", 10)
+    with caplog.at_level(logging.WARNING):
+        by_lane, by_xla = both(with_functions)
+    np.testing.assert_array_equal(by_lane, by_xla)
+    (record,) = caplog.records
+    assert "takes 10 numbers, not " in record.getMessage()
 
 
 def test_with_xla_nothing_is_compiled_by_lanes(monkeypatch):

@@ -84,6 +84,11 @@ class Graph:
         self.root = Scope(0)
         self._numbers: dict[tuple, Number] = {}
 
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self._numbers)
+
     def source(self, op: str, scope: Scope, is_uniform: bool, *extra: Any) -> Number:
         """A number from outside of the graph."""
         return self._numbers.setdefault(

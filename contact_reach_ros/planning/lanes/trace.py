@@ -28,7 +28,11 @@ _REDUCTIONS |= {"reduce_and": "logical_and", "reduce_or": "logical_or", "reduce_
 
 
 class UnknownOperationError(Exception):
-    """The function has an operation that this compiler does not know."""
+    """The function has an operation that this compiler does not know, or is too large for it."""
+
+
+MAX_NUMBERS = 150_000
+"""Of more, as with 40 spheres, each of which depends on all others, LLVM makes no code within minutes."""
 
 
 class Trace:
@@ -55,6 +59,8 @@ class Trace:
         with np.errstate(all="ignore"):
             results = self._run(jaxpr, [*arguments, _array(rows, candidate.shape)])
         (self.result,) = results[0].ravel()
+        if (count := graph.count) > MAX_NUMBERS:
+            raise UnknownOperationError(f"the lanes' compiler takes {MAX_NUMBERS:,} numbers, not {count:,}")
 
     def _run(self, closed: Any, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
         jaxpr = closed.jaxpr
