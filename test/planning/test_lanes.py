@@ -117,8 +117,11 @@ def test_an_operation_that_it_does_not_know_is_left_to_xla_with_one_warning(capl
     assert "'sort'" in record.getMessage()
 
 
-def test_what_is_too_large_is_left_to_xla_with_one_warning(caplog, monkeypatch):
+def test_what_is_too_large_is_left_to_xla_with_one_warning(caplog, monkeypatch, tmp_path):
     monkeypatch.setattr(trace, "MAX_NUMBERS", 10)
+    # What is compiled already stays in use.
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(compiled, "_engines", {})
     with caplog.at_level(logging.WARNING):
         by_lane, by_xla = both(with_functions)
     np.testing.assert_array_equal(by_lane, by_xla)
