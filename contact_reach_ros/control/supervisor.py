@@ -294,9 +294,10 @@ def check_start(arm: Arm, q: Array, v: Array) -> None:
     beyond = (q < arm.lower) | (q > arm.upper)
     if beyond.any():
         names = [name for name, is_beyond in zip(arm.joint_names, beyond, strict=True) if is_beyond]
+        angles = ", ".join(f"{angle:.4g}" for angle in q[beyond])
         raise InputError(
-            f"joint_states: {', '.join(names)} beyond the position limit, at {q[beyond].round(3).tolist()} rad; move "
-            "the arm back by hand, or let the driver send rad"
+            f"joint_states: {', '.join(names)} beyond the position limit, at {angles} rad; move the arm back by hand, or "
+            "let the driver send rad"
         )
 
 

@@ -118,7 +118,7 @@ def point_distances(environment: Environment, points: Array) -> Array:
     return distances.reshape(len(environment), *points.shape[:-1])
 
 
-@functools.lru_cache(maxsize=16)
+@functools.lru_cache(maxsize=256)
 def _stacked(environment: Environment) -> tuple[Array, ...]:
     """Index, normal and offset of the planes; index, center, axes and half size of the blocks."""
     planes = [(index, body) for index, body in enumerate(environment) if isinstance(body, Plane)]

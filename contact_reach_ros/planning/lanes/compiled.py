@@ -24,7 +24,7 @@ from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.planning.lanes.emit import module
 from contact_reach_ros.planning.lanes.trace import Trace, UnknownOperationError
 from contact_reach_ros.planning.settings import XLA
-from contact_reach_ros.resources import VERSION, cache_directory
+from contact_reach_ros.resources import cache_directory
 
 _log = logging.getLogger(__name__)
 
@@ -35,8 +35,8 @@ Function = Callable[[Any, jax.Array], jax.Array]
 def by_lanes(function: Function, backend: str) -> Function:
     """The function, compiled for the CPU that it runs on; programs of JAX may call it, but not differentiate it.
 
-    It stays what it is, for XLA to compile, on another device, with the backend "xla", and where it has an operation
-    that the compiler does not know, of which a warning tells.
+    It stays what it is, for XLA to compile, on another device, with the backend "xla", and, with a warning, where it has
+    an operation that the compiler does not know or is too large for it.
     """
 
     @functools.cache
@@ -73,7 +73,7 @@ _engines: dict[str, llvm.ExecutionEngine] = {}
 
 def _target(jaxpr: Any) -> str:
     """The name under which XLA finds the compiled function of a closed jaxpr; its last argument is one candidate."""
-    key = hashlib.sha256(f"{VERSION} {llvmlite.__version__} {jax.__version__} {_cpu()}".encode())
+    key = hashlib.sha256(f"{_compiler()} {llvmlite.__version__} {jax.__version__} {_cpu()}".encode())
     _digest(jaxpr, key)
     name = f"contact_reach_{key.hexdigest()[:32]}"
     if name not in _engines:
@@ -137,6 +137,14 @@ def _kept(name: str, make: Callable[[], bytes]) -> bytes:
         new.write_bytes(hashlib.sha256(name.encode() + code).digest() + code)
         new.replace(file)
     return code
+
+
+@functools.cache
+def _compiler() -> str:
+    """Hash of this compiler's source: what an earlier one made is made anew."""
+    return hashlib.sha256(
+        b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py")))
+    ).hexdigest()
 
 
 @functools.cache

@@ -59,8 +59,6 @@ class Trace:
         with np.errstate(all="ignore"):
             results = self._run(jaxpr, [*arguments, _array(rows, candidate.shape)])
         (self.result,) = results[0].ravel()
-        if (count := graph.count) > MAX_NUMBERS:
-            raise UnknownOperationError(f"the lanes' compiler takes {MAX_NUMBERS:,} numbers, not {count:,}")
 
     def _run(self, closed: Any, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
         jaxpr = closed.jaxpr
@@ -73,6 +71,8 @@ class Trace:
         for equation in jaxpr.eqns:
             results = self._apply(equation, [read(variable) for variable in equation.invars])
             values.update(zip(equation.outvars, results, strict=True))
+            if self._graph.count > MAX_NUMBERS:
+                raise UnknownOperationError(f"the lanes' compiler takes {MAX_NUMBERS:,} numbers, and this has more")
         return [read(variable) for variable in jaxpr.outvars]
 
     def _apply(self, equation: Any, inputs: list[np.ndarray]) -> Sequence[np.ndarray]:
