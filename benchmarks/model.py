@@ -31,7 +31,7 @@ from contact_reach_ros.control.references import Reference, Way
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.settings import PIPELINES, PlanningSettings
-from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
 from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.scene import Scene

@@ -7,6 +7,7 @@ several, of one thread. `python -m benchmarks.population` has more candidates, o
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.output import Report, command_line, given, machine, run_command, say, table, write_report
+from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.observer.budget import load_budget
@@ -117,7 +119,7 @@ def _reading() -> dict[str, float]:
     for count in SEEN:
         center, size = random.uniform(-1.0, 1.0, (count, 3)), np.ones(count)
         cloud = Spheres(center, center, 0.02 * size, 100.0 * size, 5.0 * size)
-        times[f"{count} spheres"] = _least(lambda: ObstacleReader(arm, 12).read(q, cloud))  # noqa: B023
+        times[f"{count} spheres"] = _least(functools.partial(_read, arm, q, cloud))
     boxes = tuple(
         Block(f"box {index}", center, (0.1, 0.2, 0.3))
         for index, center in enumerate(random.uniform((0.2, -1.0, -1.0), (2.2, 1.0, 1.0), (_BOXES, 3)))
@@ -126,6 +128,11 @@ def _reading() -> dict[str, float]:
     times[f"the nearest of {_BOXES} boxes"] = _least(lambda: nearest_bodies(arm, q, boxes))
     times[f"{_BOXES} boxes beside a motion"] = _least(lambda: check_motion(arm, way, boxes))
     return times
+
+
+def _read(arm: Arm, q: Array, spheres: Spheres) -> None:
+    """For the first time: nothing is known of the spheres."""
+    ObstacleReader(arm, 12).read(q, spheres)
 
 
 def _least(run: Callable[[], object]) -> float:

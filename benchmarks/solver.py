@@ -28,7 +28,7 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
 from contact_reach_ros.planning.solver.solver import CostFunction
 from contact_reach_ros.planning.terms import Problem
-from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.world.scene_file import read_scene
 
 INSTANTS = (0.01, 0.03, 0.1)

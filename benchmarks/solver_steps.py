@@ -23,7 +23,7 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import Number, Problem, term_weights
-from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.presets import preset
 
 PAPER = {"hybrid": 0.34, "cma": 0.22, "gradient": 0.40}

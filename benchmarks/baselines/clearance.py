@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.obstacles import nearest_bodies
+from contact_reach_ros.planning.transfer.arithmetic import dot, single
 from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion
 from contact_reach_ros.planning.transfer.dynamics import link_frames, place_capsules
-from contact_reach_ros.planning.transfer.lanes import dot, single
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.world.collision import nearest
 from contact_reach_ros.world.spheres import Spheres

@@ -26,7 +26,7 @@ from benchmarks.baselines.rrt_star import (
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.obstacles import Network
-from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.settings import Settings, setting
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres

@@ -13,7 +13,7 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective, ReferenceSpace
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.planning.transfer.pipeline import Pose, Reference
 
 

@@ -296,8 +296,8 @@ def check_start(arm: Arm, q: Array, v: Array) -> None:
         names = [name for name, is_beyond in zip(arm.joint_names, beyond, strict=True) if is_beyond]
         angles = ", ".join(f"{angle:.4g}" for angle in q[beyond])
         raise InputError(
-            f"joint_states: {', '.join(names)} beyond the position limit, at {angles} rad; move the arm back by hand, or "
-            "let the driver send rad"
+            f"joint_states: {', '.join(names)} beyond the position limit, at {angles} rad; move the arm back by hand, "
+            "or let the driver send rad"
         )
 
 

@@ -49,6 +49,7 @@ from contact_reach_ros.planning.obstacles import ObstacleReader, nearest_bodies
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import Context, Problem, Rollout, term_weights, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
+from contact_reach_ros.planning.transfer.arithmetic import collect, dot, single
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.dynamics import (
     Capsules,
@@ -57,7 +58,6 @@ from contact_reach_ros.planning.transfer.dynamics import (
     link_frames,
     place_capsules,
 )
-from contact_reach_ros.planning.transfer.lanes import collect, dot, single
 from contact_reach_ros.planning.transfer.model import load_system
 from contact_reach_ros.planning.transfer.pipeline import Pose, Reference, joint_acceleration
 from contact_reach_ros.scenes.generate import load_scene

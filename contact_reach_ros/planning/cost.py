@@ -16,8 +16,8 @@ from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.settings import BOUNDS, POSTURE_BOUND, ROTATION_BOUND, PlanningSettings
 from contact_reach_ros.planning.terms import Context, Number, Problem, Rollout, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
+from contact_reach_ros.planning.transfer.arithmetic import collect
 from contact_reach_ros.planning.transfer.dynamics import Capsules, link_frames, place_capsules
-from contact_reach_ros.planning.transfer.lanes import collect
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.planning.transfer.pipeline import N_TASK, Pose, Reference, System
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.errors import PlanningError
+from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.planning.transfer.clearance import Bodies
 from contact_reach_ros.planning.transfer.contact import Obstacles
-from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.world.collision import (
     COLLISION_TOLERANCE,
     capsule_segments,

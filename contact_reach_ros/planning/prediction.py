@@ -15,8 +15,8 @@ from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.planning.plan import Held, ReferenceTrajectory
 from contact_reach_ros.planning.transfer import pipeline
+from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.planning.transfer.contact import Obstacles
-from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.planning.transfer.pipeline import State, System
 
 MAX_PIECES = 128

@@ -28,9 +28,9 @@ from contact_reach_ros.planning.solver.hybrid import HybridSolver
 from contact_reach_ros.planning.solver.solver import CostFunction, Solution, Solver, State, shift_solution
 from contact_reach_ros.planning.terms import LEAST_SPEED, Approach, Number, Problem, Rollout, term_weights
 from contact_reach_ros.planning.transfer import pipeline
+from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.planning.transfer.clearance import Bodies
 from contact_reach_ros.planning.transfer.contact import Obstacles
-from contact_reach_ros.planning.transfer.lanes import single
 from contact_reach_ros.resources import cache_directory
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres

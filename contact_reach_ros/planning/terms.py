@@ -26,10 +26,10 @@ from contact_reach_ros.arm.task import AXIS, POSE
 from contact_reach_ros.control.settings import IMPACT_ENERGY, LimitSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.transfer.arithmetic import dot, sum_over
 from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.dynamics import Capsules
-from contact_reach_ros.planning.transfer.lanes import dot, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
 from contact_reach_ros.planning.transfer.pipeline import N_TASK, Pose, Reference
 

@@ -15,7 +15,7 @@ from contact_reach_ros.planning.cost import knot_bounds, make_objective
 from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import Problem, term_weights
-from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.world.collision import capsule_segments, clearances
 from contact_reach_ros.world.obstacle import BallSettings
 from contact_reach_ros.world.scene import Scene

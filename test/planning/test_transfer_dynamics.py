@@ -13,8 +13,8 @@ from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.planning.transfer import model
+from contact_reach_ros.planning.transfer.arithmetic import cosine_and_sine
 from contact_reach_ros.planning.transfer.dynamics import arm_dynamics, flange_drift, link_frames
-from contact_reach_ros.planning.transfer.lanes import cosine_and_sine
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.planning.transfer.pipeline import Reference, pose_error
 

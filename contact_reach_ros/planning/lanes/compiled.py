@@ -35,8 +35,8 @@ Function = Callable[[Any, jax.Array], jax.Array]
 def by_lanes(function: Function, backend: str) -> Function:
     """The function, compiled for the CPU that it runs on; programs of JAX may call it, but not differentiate it.
 
-    It stays what it is, for XLA to compile, on another device, with the backend "xla", and, with a warning, where it has
-    an operation that the compiler does not know or is too large for it.
+    It stays what it is, for XLA to compile, on another device, with the backend "xla", and, with a warning, where it
+    has an operation that the compiler does not know or is too large for it.
     """
 
     @functools.cache

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from contact_reach_ros.planning.solver.solver import FloatArray, shift_matrix
-from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.planning.transfer.arithmetic import single
 
 SIGMA_RANGE = (1e-3, 10.0)
 """Range of the step size, whose initial value is 1."""

@@ -16,7 +16,7 @@ from contact_reach_ros.planning.lanes.compiled import by_lanes
 from contact_reach_ros.planning.settings import PAPER, PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, fresh, sample, shift_distribution, update
 from contact_reach_ros.planning.solver.solver import CostFunction, Solution
-from contact_reach_ros.planning.transfer.lanes import single
+from contact_reach_ros.planning.transfer.arithmetic import single
 
 Draw = tuple[int | jax.Array, ...]
 """Numbers that select the random numbers: seed, plan number, step and so on."""

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from contact_reach_ros.planning.transfer.arithmetic import dot, sum_over
 from contact_reach_ros.planning.transfer.dynamics import Capsules
-from contact_reach_ros.planning.transfer.lanes import dot, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
 
 _NEWTON_STEPS = 2

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from contact_reach_ros.planning.transfer.arithmetic import collect, cross, dot, suffix_sum, sum_over
 from contact_reach_ros.planning.transfer.dynamics import Frames, place_capsules
-from contact_reach_ros.planning.transfer.lanes import collect, cross, dot, suffix_sum, sum_over
 from contact_reach_ros.planning.transfer.model import ArmModel
 
 _CONTACT_INSTANT = 0.7

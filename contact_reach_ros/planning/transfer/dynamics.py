@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.planning.transfer.lanes import (
+from contact_reach_ros.planning.transfer.arithmetic import (
     combine,
     cosine_and_sine,
     cross,

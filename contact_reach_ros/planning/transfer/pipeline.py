@@ -29,9 +29,9 @@ import numpy as np
 
 from contact_reach_ros.arm.task import AXIS, POSE
 from contact_reach_ros.control.settings import JOINT_SHARE, SINGULARITY_FLOOR, ImpedanceSettings
+from contact_reach_ros.planning.transfer.arithmetic import cross, dot, rotate
 from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, contact_step
 from contact_reach_ros.planning.transfer.dynamics import Dynamics, Frames, arm_dynamics, flange_drift, link_frames
-from contact_reach_ros.planning.transfer.lanes import cross, dot, rotate
 from contact_reach_ros.planning.transfer.model import ArmModel
 
 N_TASK = 6

@@ -1,4 +1,4 @@
-"""Arithmetic on arrays whose last axis is the lanes, in the forms that XLA compiles well for a CPU."""
+"""Arithmetic on arrays whose last axis is the candidates, in short chains that compile well."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def single(values: ArrayLike) -> jax.Array:
 def cosine_and_sine(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Cosine and sine of an angle, rad, to 2e-7 up to 100 rad.
 
-    XLA calls a function for each number where a loop is compiled into one: a fifth of the time of the candidates. This
-    is the series about the nearest multiple of π, with the same factor for both.
+    A function of the C library would be called for each number. This is the series about the nearest multiple of π,
+    with the same factor for both.
     """
     turns = jnp.round(angle * (1.0 / np.pi))
     rest = angle - turns * _PI_HIGH - turns * _PI_LOW
