@@ -1,6 +1,7 @@
 """The cost (5): its parts, and its gradient."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 
@@ -24,7 +25,10 @@ from planning_helpers import (
 from contact_reach_ros.arm import link_frames, rotation_about
 from contact_reach_ros.control.settings import IMPACT_ENERGY, LimitSettings
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.lanes.compiled import by_lanes
+from contact_reach_ros.planning.settings import AUTO, PlanningSettings
+from contact_reach_ros.planning.solver.hybrid import slopes
+from contact_reach_ros.planning.solver.solver import CostFunction
 from contact_reach_ros.planning.terms import JOINT_LIMIT_MARGIN, ROUNDING, TERMS, Problem, Term, term, term_weights
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.settings import setting
@@ -90,15 +94,18 @@ def test_joint_limit_term_begins_at_the_margin(roll_out, limit):
 
 
 @pytest.fixture(scope="module")
-def costs_and_slopes(objective) -> Iterator[Callable[[Problem, jax.Array], tuple[jax.Array, jax.Array]]]:
-    """One program gives both for points (39, 39) in units of the bounds: compiling is what takes the time here."""
-    bounds = np.tile([0.01] * 3 + [0.2] * 10, 3)
+def cost(objective) -> CostFunction:
+    """Of points (39, B) in units of the bounds."""
+    bounds = np.tile([0.01] * 3 + [0.2] * 10, 3)[:, None]
+    return lambda problem, points: objective.cost(problem, (points * bounds).reshape(3, 13, -1))
+
+
+@pytest.fixture(scope="module")
+def costs_and_slopes(cost) -> Iterator[Callable[[Problem, jax.Array], tuple[jax.Array, jax.Array]]]:
+    """One program gives both for points (39, 39): compiling is what takes the time here."""
 
     def run(problem: Problem, points: jax.Array) -> tuple[jax.Array, jax.Array]:
-        def cost(points: jax.Array) -> jax.Array:
-            return objective.cost(problem, (points * bounds[:, None]).reshape(3, 13, -1))
-
-        return jax.jvp(cost, (points,), (jnp.eye(39, dtype=points.dtype),))
+        return jax.jvp(functools.partial(cost, problem), (points,), (jnp.eye(39, dtype=points.dtype),))
 
     # XLA without its optimisations makes NaN of the derivatives in contact, as it does not with them.
     jax.config.update("jax_disable_most_optimizations", False)
@@ -107,16 +114,17 @@ def costs_and_slopes(objective) -> Iterator[Callable[[Problem, jax.Array], tuple
 
 
 @pytest.mark.parametrize("touching", [False, True])
-def test_gradient_agrees_with_finite_differences(costs_and_slopes, touching):
-    """To 1e-6 in double and to 1e-2 in single precision, relative to the steepest slope."""
+def test_gradient_agrees_with_finite_differences(cost, costs_and_slopes, touching):
+    """To 1e-6 in double precision, and to 1e-2 as the solver has it, relative to the steepest slope."""
     point = np.random.default_rng(1).uniform(-0.5, 0.5, 39)
     points = np.tile(point[:, None], (1, 39))
     obstacle = ball(beside_forearm(-0.005) if touching else FAR_BALL)
     problem = make_problem(HOME, FLANGE + np.array([0.2, 0.1, -0.1]), obstacle, orientation=0.1)
-    _, single = costs_and_slopes(cast(problem, np.float32), points.astype(np.float32))
+    by_solver = jax.jit(by_lanes(functools.partial(slopes, cost), AUTO))
+    single = by_solver((problem, points[:, :1].astype(np.float32)), np.eye(39, dtype=np.float32))
     assert single.dtype == np.float32
     with jax.enable_x64(True):
-        double_problem = cast(problem, np.float64)
+        double_problem = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), problem)
         _, slope = costs_and_slopes(double_problem, points)
         assert slope.dtype == np.float64
         step = 1e-5 * np.eye(39)
@@ -126,10 +134,6 @@ def test_gradient_agrees_with_finite_differences(costs_and_slopes, touching):
     steepest = np.abs(difference).max()
     np.testing.assert_allclose(slope, difference, rtol=1e-6, atol=1e-6 * steepest)
     np.testing.assert_allclose(single, difference, rtol=1e-2, atol=1e-2 * steepest)
-
-
-def cast(problem: Problem, dtype: type) -> Problem:
-    return jax.tree.map(lambda leaf: np.asarray(leaf, dtype), problem)
 
 
 @pytest.mark.parametrize("share", [0.4, 0.7])
