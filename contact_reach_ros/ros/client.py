@@ -29,7 +29,7 @@ from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
-from contact_reach_ros.ros.graph import goal_topic
+from contact_reach_ros.ros.graph import goal_topic, takes_commands
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, OPERATOR, STOPPABLE
 from contact_reach_ros.ros.process import bare_node, in_namespace
@@ -268,9 +268,11 @@ class StackClient(Client):
         name = topics.SAFETY_STATE.name
 
         def everybody() -> bool:
-            return CONTROLLER in self.safety and len(self.safety) >= self.node.count_publishers(name)
+            is_closed = CONTROLLER in self.safety and takes_commands(self.node, CONTROLLER)
+            return is_closed and len(self.safety) >= self.node.count_publishers(name)
 
-        # On a busy machine nodes are discovered one after the other: the controller is rarely without an observer.
+        # On a busy machine nodes are discovered one after the other: the controller is rarely without an observer, and
+        # never without somebody who takes its commands and may have stopped.
         self.until(lambda: OBSERVER in self.safety and everybody(), _FOUND_S)
         self.wait_for(lambda: [] if CONTROLLER in self.safety else [f"{name} of the {CONTROLLER}"], 0.0)
         # The last events of each come first, perhaps in pieces: of a stop before that of its release.

@@ -21,7 +21,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
-from contact_reach_ros.ros.interfaces import ALONE, MANAGED
+from contact_reach_ros.ros.interfaces import ALONE, MANAGED, RECORDER
 
 _UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """Name in the graph of a node that was discovered later than its endpoint."""
@@ -66,6 +66,20 @@ def goal_topic(node: Node, planner: str) -> str:
     except NodeNameNonExistentError:
         return ""
     return next((name for name, types in heard if topics.GOAL_POSE.type_name in types), "")
+
+
+def takes_commands(node: Node, controller: str) -> bool:
+    """Whether a node that takes the commands of the controller of this name is discovered: a driver or an adapter.
+
+    True also with `supervision.shadow`, whose commands nobody takes.
+    """
+    try:
+        published = node.get_publisher_names_and_types_by_node(controller, node.get_namespace())
+    except NodeNameNonExistentError:
+        return False
+    names = [name for name, types in published if topics.COMMANDS.type_name in types]
+    takers = {info.node_name for name in names for info in node.get_subscriptions_info_by_topic(name)}
+    return any(name.endswith(topics.SHADOW_COMMANDS.name) for name in names) or bool(takers - {RECORDER, _UNKNOWN_NODE})
 
 
 def rivalry(node: Node, exclusive: Iterable[Topic]) -> str:

@@ -24,6 +24,7 @@ from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros import client as client_module
 from contact_reach_ros.ros.client import StackClient
+from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.timing import NANOSECONDS
 
 
@@ -99,6 +100,33 @@ def test_stops_are_those_in_force_by_node(client):
     assert client.why_stopped == "driver: silence"
 
 
+def test_whoever_takes_commands_is_waited_for(client, monkeypatch):
+    """On a busy machine a driver was discovered seconds after the controller, and its stop was not heard."""
+    passed, spin, safety = [], client.spin, topics.SAFETY_STATE
+
+    def report(node, name, reason):
+        publisher = node.create_publisher(safety.type, safety.name, qos_profile(safety.qos))
+        publisher.publish(to_stop_state(name, ARM, reason, "", {}))
+
+    def later(seconds):
+        spin(seconds)
+        if client.safety.keys() >= {"controller", "observer"}:
+            before, after = sum(passed), sum([*passed, seconds])
+            passed.append(seconds)
+            if before <= 1.5 * client_module._SETTLED_S < after:
+                driver = rclpy.create_node("driver")
+                report(driver, "driver", "silence")
+                driver.create_subscription(topics.COMMANDS.type, topics.COMMANDS.name, print, 1)
+
+    monkeypatch.setattr(client, "spin", later)
+    controller = rclpy.create_node("controller")
+    controller.create_publisher(topics.COMMANDS.type, topics.COMMANDS.name, 1)
+    for name in ("controller", "observer"):
+        report(controller, name, "")
+    client.hear_stops()
+    assert client.stops == {"driver": "silence"}
+
+
 def test_states_of_other_goals_do_not_count(client):
     client.send_goal(np.zeros(3))
     for ahead_ns in (-1, 1):
@@ -127,6 +155,7 @@ def test_a_goal_is_taken_when_the_planner_pursues_it_and_the_controller_accepts_
     client, monkeypatch, state, accepted, refusals, stop, text
 ):
     monkeypatch.setattr(client_module, "_FOLLOWED_S", 0.1)
+    monkeypatch.setattr(client_module, "_FOUND_S", 0.1)
     hear(client, topics.DIAGNOSTICS, diagnostics("controller", plans_accepted=7))
 
     def spin(_):
