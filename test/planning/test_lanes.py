@@ -1,5 +1,6 @@
 """The compiler of functions of candidates: against XLA, and where it has to give way to it."""
 
+import functools
 import logging
 
 import jax
@@ -18,9 +19,9 @@ CANDIDATES = np.random.default_rng(3).uniform(-1.0, 1.0, (5, 21)).astype(np.floa
 GIVEN = {"weights": np.linspace(0.5, 1.5, 5, dtype=np.float32), "offset": np.float32(0.3)}
 
 
-def both(function, given=GIVEN, candidates=CANDIDATES):
+def both(function, given=GIVEN, candidates=CANDIDATES, source=None):
     """What the function returns by lanes and by XLA."""
-    return [np.asarray(jax.jit(by_lanes(function, backend))(given, candidates)) for backend in BACKENDS]
+    return [np.asarray(jax.jit(by_lanes(function, backend, source))(given, candidates)) for backend in BACKENDS]
 
 
 def with_loops(given, candidates):
@@ -55,6 +56,47 @@ def test_it_computes_what_xla_computes(function):
     np.testing.assert_allclose(by_lane, by_xla, rtol=2e-6, atol=2e-6)
 
 
+def test_results_are_any_tree_of_arrays():
+    """Of loops, of what is the same in all lanes, of candidates themselves and of constants."""
+
+    def function(given, candidates):
+        _, steps = jax.lax.scan(
+            lambda total, row: (total + row, (total, given["offset"] * row)), 0.0 * candidates[0], candidates
+        )
+        offset = jnp.broadcast_to(given["offset"], (2, candidates.shape[1]))
+        return {"steps": steps, "same": (offset, candidates), "known": jnp.ones_like(offset[:, None])}
+
+    by_lane, by_xla = (jax.jit(by_lanes(function, backend))(GIVEN, CANDIDATES) for backend in BACKENDS)
+    jax.tree.map(lambda own, other: np.testing.assert_allclose(own, other, rtol=1e-6, atol=1e-7), by_lane, by_xla)
+    assert by_lane["known"].shape == (2, 1, 21) and by_lane["steps"][1].shape == (5, 21)
+
+
+def test_a_derivative_is_traced_once_and_has_the_rule_of_its_function(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    given = ({"offset": np.float32(0.5)}, CANDIDATES[:, :1])
+    traced = []
+
+    def slope(factor):
+        """Of a function whose rule multiplies its derivative."""
+        squared = jax.custom_jvp(lambda x: x * x)
+        squared.defjvp(lambda primals, tangents: (squared(primals[0]), factor * 2.0 * primals[0] * tangents[0]))
+
+        def function(given, candidates):
+            traced.append(factor)
+            return squared(given["offset"] * candidates).sum(axis=0)
+
+        by_lane, by_xla = both(functools.partial(slopes, function), given, CANDIDATES, function)
+        np.testing.assert_allclose(by_lane, by_xla, rtol=1e-6)
+        return by_lane
+
+    plain = slope(1.0)
+    np.testing.assert_allclose(plain, 0.5 * (CANDIDATES[:, :1] * CANDIDATES).sum(axis=0), rtol=1e-5, atol=1e-6)
+    assert traced == [1.0, 1.0, 1.0]
+    np.testing.assert_array_equal(slope(1.0), plain)
+    assert traced == [1.0] * 5
+    np.testing.assert_array_equal(slope(2.0), 2.0 * plain)
+
+
 @pytest.fixture(scope="module")
 def space_cost():
     """Cost of actions (3, 13, B) as points (39, B)."""
@@ -72,7 +114,7 @@ def test_cost_and_gradient_of_a_plan_are_those_of_xla(space_cost, center):
     costs, reference = both(space_cost, problem, points)
     np.testing.assert_allclose(costs, reference, rtol=1e-5, atol=1e-5)
     directions = np.eye(39, dtype=np.float32)[:, ::13]
-    own, expected = both(lambda given, along: slopes(space_cost, given, along), (problem, points[:, :1]), directions)
+    own, expected = both(functools.partial(slopes, space_cost), (problem, points[:, :1]), directions, space_cost)
     assert np.linalg.norm(own - expected) < 3e-5 * np.linalg.norm(expected)
 
 
@@ -109,8 +151,10 @@ def test_an_operation_that_it_does_not_know_is_left_to_xla_with_one_warning(capl
         return jnp.sort(candidates, axis=0)[1] + given["offset"]
 
     function = by_lanes(sorting, AUTO)
+    derivative = by_lanes(functools.partial(slopes, sorting), AUTO, sorting)
     with caplog.at_level(logging.WARNING):
         values = [np.asarray(jax.jit(function)(GIVEN, CANDIDATES[:, :count])) for count in (21, 8)]
+        jax.jit(derivative)((GIVEN, CANDIDATES[:, :1]), CANDIDATES)
     np.testing.assert_allclose(values[0], np.sort(CANDIDATES, axis=0)[1] + 0.3, rtol=1e-6)
     np.testing.assert_array_equal(values[0][:8], values[1])
     (record,) = caplog.records
@@ -130,7 +174,7 @@ def test_what_is_too_large_is_left_to_xla_with_one_warning(caplog, monkeypatch, 
 
 
 def test_with_xla_nothing_is_compiled_by_lanes(monkeypatch):
-    monkeypatch.setattr(compiled, "_target", lambda jaxpr: pytest.fail("compiled by lanes"))
+    monkeypatch.setattr(compiled, "_target", lambda *_: pytest.fail("compiled by lanes"))
     jax.jit(by_lanes(lambda given, candidates: candidates.sum(axis=0), XLA))(GIVEN, CANDIDATES)
 
 

@@ -7,6 +7,7 @@ import ctypes
 import functools
 import hashlib
 import logging
+import math
 import os
 import re
 from collections.abc import Callable
@@ -18,7 +19,7 @@ import jax.numpy as jnp
 import llvmlite
 import llvmlite.binding as llvm
 import numpy as np
-from jax.extend.core import Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.planning.lanes.emit import module
@@ -28,56 +29,77 @@ from contact_reach_ros.resources import cache_directory
 
 _log = logging.getLogger(__name__)
 
-Function = Callable[[Any, jax.Array], jax.Array]
-"""(B,) of what is the same for all candidates, any tree of arrays, and of candidates (n, B)."""
+Function = Callable[[Any, jax.Array], Any]
+"""Any tree of arrays (..., B), of what is the same for all candidates, any tree of arrays, and of candidates (n, B)."""
 
 
-def by_lanes(function: Function, backend: str) -> Function:
+def by_lanes(function: Function, backend: str, source: Function | None = None) -> Function:
     """The function, compiled for the CPU that it runs on; programs of JAX may call it, but not differentiate it.
 
     It stays what it is, for XLA to compile, on another device, with the backend "xla", and, with a warning, where it
     has an operation that the compiler does not know or is too large for it.
+
+    Parameters
+    ----------
+    function
+        To compile.
+    backend
+        As the setting `planning.backend`.
+    source
+        What the function differentiates, with the first of what it is given. It returns as much, and is traced in a
+        quarter of the time: if its derivative is in the cache, the function is not traced at all.
     """
 
     @functools.cache
-    def target(tree: Any, shapes: tuple[tuple[int, ...], ...], size: int) -> str | None:
-        def of_one(leaves: list[jax.Array], candidate: jax.Array) -> jax.Array:
-            return function(jax.tree.unflatten(tree, leaves), candidate)
-
-        given = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
+    def program(tree: Any, shapes: tuple[tuple[int, ...], ...], size: int) -> tuple[str, Any] | None:
+        given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes])
+        candidate = jax.ShapeDtypeStruct((size, 1), jnp.float32)
+        trace = lambda: jax.make_jaxpr(function, return_shape=True)(given, candidate)  # noqa: E731
+        jaxpr, results = jax.make_jaxpr(source, return_shape=True)(given[0], candidate) if source else trace()
         try:
-            return _target(jax.make_jaxpr(of_one)(given, jax.ShapeDtypeStruct((size, 1), jnp.float32)))
+            return _target(jaxpr, (lambda: trace()[0]) if source else None), results
         except UnknownOperationError as error:
-            _log.warning("%s: XLA compiles it, and plans take two to three times as long", error)
+            _warn_once(str(error))
             return None
 
-    def call(given: Any, candidates: jax.Array) -> jax.Array:
+    def call(given: Any, candidates: jax.Array) -> Any:
         if backend == XLA or jax.default_backend() != "cpu":
             return function(given, candidates)
         leaves, tree = jax.tree.flatten(given)
         leaves = [jnp.asarray(leaf, jnp.float32) for leaf in leaves]
-        name = target(tree, tuple(leaf.shape for leaf in leaves), len(candidates))
-        if name is None:
+        found = program(tree, tuple(leaf.shape for leaf in leaves), len(candidates))
+        if found is None:
             return function(given, candidates)
-        count = candidates.shape[1]
+        name, shapes = found[0], [each.shape[:-1] for each in jax.tree.leaves(found[1])]
+        count, ends = candidates.shape[1], np.cumsum([math.prod(shape) for shape in shapes])
         filled = jnp.pad(candidates, ((0, 0), (0, -count % _lanes())))
-        values: jax.Array = jax.ffi.ffi_call(name, jax.ShapeDtypeStruct(filled.shape[1:], jnp.float32))(*leaves, filled)
-        return values[:count]
+        rows = jax.ShapeDtypeStruct((int(ends[-1]), filled.shape[1]), jnp.float32)
+        parts = jnp.split(jax.ffi.ffi_call(name, rows)(*leaves, filled)[:, :count], ends[:-1])
+        arrays = [part.reshape(*shape, count) for part, shape in zip(parts, shapes, strict=True)]
+        return jax.tree.unflatten(jax.tree.structure(found[1]), arrays)
 
     return call
+
+
+@functools.cache
+def _warn_once(reason: str) -> None:
+    """Of the cost, its derivative and what a plan shows of it."""
+    _log.warning("%s: XLA compiles it, and plans take two to three times as long", reason)
 
 
 _engines: dict[str, llvm.ExecutionEngine] = {}
 """Hold the code that XLA may call until the process ends, by its name."""
 
 
-def _target(jaxpr: Any) -> str:
-    """The name under which XLA finds the compiled function of a closed jaxpr; its last argument is one candidate."""
-    key = hashlib.sha256(f"{_compiler()} {llvmlite.__version__} {jax.__version__} {_cpu()}".encode())
+def _target(jaxpr: Any, derivative: Callable[[], Any] | None) -> str:
+    """The name under which XLA finds a compiled closed jaxpr, or its derivative; its last argument is one candidate."""
+    versions = f"{_compiler()} {llvmlite.__version__} {jax.__version__} {_cpu()} {derivative is not None}"
+    key = hashlib.sha256(versions.encode())
     _digest(jaxpr, key)
     name = f"contact_reach_{key.hexdigest()[:32]}"
     if name not in _engines:
-        code = _kept(name, lambda: _machine().emit_object(llvm.parse_assembly(_module(jaxpr))))
+        own = derivative or (lambda: jaxpr)
+        code = _kept(name, lambda: _machine().emit_object(llvm.parse_assembly(_module(own()))))
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
@@ -95,7 +117,10 @@ def _module(jaxpr: Any) -> str:
 
 
 def _digest(closed: Any, key: Any) -> None:
-    """All that a closed jaxpr computes, into a hash, in a tenth of the time that its text takes."""
+    """All that a closed jaxpr computes, and its own rules of differentiation, into a hash.
+
+    It takes a tenth of the time that the jaxpr's text takes.
+    """
     names: dict[Any, int] = {}
 
     def name(variable: Any) -> object:
@@ -113,12 +138,23 @@ def _digest(closed: Any, key: Any) -> None:
     )
     for equation in jaxpr.eqns:
         add(equation.primitive.name, [name(each) for each in (*equation.invars, *equation.outvars)])
+        if equation.primitive.name == "custom_jvp_call":
+            add(str(_rule(equation)))
         for option, value in equation.params.items():
             if hasattr(value, "jaxpr"):
                 _digest(value, key)
             elif not callable(value):
                 add(option, value)
     add([name(each) for each in jaxpr.outvars])
+
+
+def _rule(equation: Any) -> Any:
+    """The closed jaxpr by which an equation is differentiated that has a rule of its own."""
+    variables = [each for each in equation.invars if not isinstance(each, Literal)]
+    about = equation.params["call_jaxpr"].jaxpr.debug_info
+    alone = ClosedJaxpr(Jaxpr((), variables, equation.outvars, [equation], debug_info=about), ())
+    own = [jax.ShapeDtypeStruct(each.aval.shape, each.aval.dtype) for each in variables]
+    return jax.make_jaxpr(functools.partial(jax.jvp, jaxpr_as_fun(alone)))(own, own)
 
 
 def _kept(name: str, make: Callable[[], bytes]) -> bytes:

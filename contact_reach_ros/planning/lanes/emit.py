@@ -47,16 +47,16 @@ class Part:
         self._names: dict[Any, str] = {}
         self._live: dict[Scope, dict[Memory, None]] = {}
         self._orders: dict[Scope, tuple[list[Any], list[Number]]] = {}
-        self._result = None if self._is_uniform else trace.result
+        self._results = [] if self._is_uniform else trace.results
         self._loops = trace.loops
         self._find_live()
         self._block(trace.root)
-        if not self._is_uniform:
-            self._put(trace.result, "%y")
+        for row, result in enumerate(self._results):
+            self._put(result, self._write(f"getelementptr float, ptr %y, i64 {self._write(f'mul i64 %stride, {row}')}"))
 
     def _find_live(self) -> None:
         """What is needed: memories of loops, and numbers of the other part, which it has to store."""
-        pending = [self._result, *(number for numbers in self.stored.values() for number in numbers)]
+        pending = [*self._results, *(number for numbers in self.stored.values() for number in numbers)]
         done: set[Number] = set()
         while pending:
             number = pending.pop()
@@ -81,7 +81,8 @@ class Part:
         """Numbers and loops of a scope in order, and what they need from outside of it."""
         if scope in self._orders:
             return self._orders[scope]
-        roots = [self._result, *(memory.end for memory in self._live.get(scope, ()))]
+        roots = [] if scope.parent else [*self._results]
+        roots += [memory.end for memory in self._live.get(scope, ())]
         roots += [loop for loop in self._loops if loop in self._live and loop.parent is scope]
         roots += self.stored.get(scope, ()) if self._is_uniform else ()
         done: dict[Any, None] = {}
@@ -253,7 +254,7 @@ def module(trace: Trace, lanes: int, arguments: int, version: tuple[int, int]) -
     """LLVM code of a handler of XLA's foreign function interface of that version, for 64 bits.
 
     It takes `arguments` arrays that are the same in all lanes, and one (n, B) with B a multiple of `lanes`, and returns
-    (B,).
+    all results (rows, B).
     """
     vectors = Part(trace, lanes)
     uniform = Part(trace, lanes, vectors.stored)

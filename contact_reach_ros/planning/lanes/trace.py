@@ -40,8 +40,8 @@ class Trace:
 
     Attributes
     ----------
-    result
-        Its only result.
+    results
+        All numbers of its results, one array after the other.
     loops
         In the order in which they begin.
     """
@@ -58,7 +58,7 @@ class Trace:
         rows = [graph.source("lane", self.root, False, row) for row in range(candidate.size)]
         with np.errstate(all="ignore"):
             results = self._run(jaxpr, [*arguments, _array(rows, candidate.shape)])
-        (self.result,) = results[0].ravel()
+        self.results: list[Symbol] = [number for array in results for number in array.ravel()]
 
     def _run(self, closed: Any, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
         jaxpr = closed.jaxpr

@@ -95,7 +95,7 @@ class HybridSolver:
 
     def __init__(self, cost: CostFunction, n: int, settings: PlanningSettings) -> None:
         self._cost = by_lanes(cost, settings.backend)
-        self._slopes = by_lanes(functools.partial(slopes, cost), settings.backend)
+        self._slopes = by_lanes(functools.partial(slopes, cost), settings.backend, cost)
         self._settings = settings
         self._seed = settings.seed
         self.max_steps = settings.max_steps
