@@ -54,8 +54,8 @@ def by_lanes(function: Function, backend: str, source: Function | None = None) -
     def program(tree: Any, shapes: tuple[tuple[int, ...], ...], size: int) -> tuple[str, Any] | None:
         given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes])
         candidate = jax.ShapeDtypeStruct((size, 1), jnp.float32)
-        trace = lambda: jax.make_jaxpr(function, return_shape=True)(given, candidate)  # noqa: E731
-        jaxpr, results = jax.make_jaxpr(source, return_shape=True)(given[0], candidate) if source else trace()
+        trace = lambda: _traced(function, given, candidate)  # noqa: E731
+        jaxpr, results = _traced(source, given[0], candidate) if source else trace()
         try:
             return _target(jaxpr, (lambda: trace()[0]) if source else None), results
         except UnknownOperationError as error:
@@ -79,6 +79,11 @@ def by_lanes(function: Function, backend: str, source: Function | None = None) -
         return jax.tree.unflatten(jax.tree.structure(found[1]), arrays)
 
     return call
+
+
+def _traced(function: Function, given: Any, candidate: Any) -> tuple[Any, Any]:
+    """The closed jaxpr of a function, and the shapes of its results; JAX keeps it as long as what it was given here."""
+    return jax.make_jaxpr(functools.partial(function), return_shape=True)(given, candidate)
 
 
 @functools.cache
