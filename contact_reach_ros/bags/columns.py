@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import struct
 from abc import ABC, abstractmethod
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -107,7 +108,8 @@ class Collector(ABC):
         self.watches: list[Callable[[Column], None]] = []
         self._waiting: list[Messages] = []
         self._decoded: list[tuple[Times, Values]] = []
-        self._kept: list[tuple[Times, Values]] = []
+        # They grow in place: to join parts at the end would take as much memory again.
+        self._times, self._values = array("q"), array("d")
         self._refused = self._back = 0
         self._origin_ns, self._last_ns, self._step = 0, 0, -1
 
@@ -128,13 +130,13 @@ class Collector(ABC):
     def column(self) -> Column:
         """Return the messages so far as a column; the collector is empty afterwards."""
         self._read_waiting()
-        kept, self._kept = self._kept, []
-        return self._joined(kept)
+        times = np.frombuffer(self._times, np.int64).reshape(-1, 4)
+        values = np.frombuffer(self._values).reshape(len(times), len(self.names))
+        self._times, self._values = array("q"), array("d")
+        return self._as_column(times.T, values)
 
-    def _joined(self, parts: Sequence[tuple[Times, Values]]) -> Column:
-        times = [np.empty((4, 0), np.int64), *(times for times, _ in parts)]
-        log_ns, publish_ns, sequence, stamp_ns = np.concatenate(times, axis=1)
-        values = np.concatenate([np.empty((0, len(self.names))), *(values for _, values in parts)])
+    def _as_column(self, times: Times, values: Values) -> Column:
+        log_ns, publish_ns, sequence, stamp_ns = times
         return Column(log_ns, publish_ns, sequence, stamp_ns, self.names, values, self._refused, self._back)
 
     def _read_waiting(self) -> None:
@@ -145,16 +147,18 @@ class Collector(ABC):
         times = np.stack([messages[name] for name in ("log_ns", "publish_ns", "sequence", "sequence")])
         times[3] = 0
         self._read(messages["data"].tolist(), times)
-        part, self._decoded = self._joined(self._decoded), []
-        if not len(part):
+        decoded, self._decoded = self._decoded, []
+        if not decoded:
             return
+        times = np.concatenate([times for times, _ in decoded], axis=1)
+        part = self._as_column(times, np.concatenate([values for _, values in decoded]))
         self._back += int((np.diff(part.stamp_ns, prepend=self._last_ns) < 0).sum())
         self._last_ns = int(part.stamp_ns[-1])
         for watch in self.watches:
             watch(part)
         rows = self._needed(part) if self.step_ns else slice(None)
-        times = np.stack([part.log_ns, part.publish_ns, part.sequence, part.stamp_ns])
-        self._kept.append((times[:, rows], part.values[rows]))
+        self._times.frombytes(times.T[rows].tobytes())
+        self._values.frombytes(part.values[rows].tobytes())
 
     def _needed(self, part: Column) -> NDArray[np.intp]:
         """Rows (n,) of a part that are kept of a thinned column."""

@@ -92,13 +92,18 @@ class Clock:
 
     def of_receptions(self, received_ns: np.ndarray) -> np.ndarray:
         """By times of reception, ns."""
-        received = (received_ns - self._received_0) / NANOSECONDS
-        if not len(self._received_ns):
-            return received
-        known = (self._received_ns - self._received_0) / NANOSECONDS
-        inside = np.interp(received, known, (self._stamps_ns - self.origin_ns) / NANOSECONDS)
+        known_ns = self._received_ns
+        if not len(known_ns):
+            return np.asarray((received_ns - self._received_0) / NANOSECONDS)
+        # Interpolated in whole numbers, without the joint states of an hour once more as other numbers.
+        after = np.clip(np.searchsorted(known_ns, received_ns), 1, len(known_ns) - 1)
+        spans, since = known_ns[after] - known_ns[after - 1], received_ns - known_ns[after - 1]
+        shares = np.clip(since / np.maximum(spans, 1), 0.0, 1.0)
+        inside = (
+            self._stamps_ns[after - 1] - self.origin_ns + shares * (self._stamps_ns[after] - self._stamps_ns[after - 1])
+        )
         # Outside of the joint states both clocks are taken to run alike.
-        return inside + received - np.clip(received, known[0], known[-1])
+        return (inside + (received_ns - np.clip(received_ns, known_ns[0], known_ns[-1]))) / NANOSECONDS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -268,7 +273,8 @@ def read_signals(
         "external_torque": JointStates(("effort",), joints),
         "sim/contacts": JointStates(("effort",), (*arm.contact_links, "sum", "max")),
     }
-    ticks, sent, answered = (tuple(array("q") for _ in range(count)) for count in (3, 2, 2))
+    # Times in ns, and numbers of commands.
+    ticks, sent, answered = ([array(code) for code in codes] for codes in (("q", "q", "q"), ("I", "q"), ("I", "q")))
     columns["joint_states"].watches.append(lambda part: _extend(ticks, part.log_ns, part.stamp_ns, part.publish_ns))
     columns[commands].watches.append(lambda part: _extend(sent, part.sequence, part.publish_ns))
     for name, column in columns.items():
@@ -278,13 +284,14 @@ def read_signals(
         if watch is not None and name in watch:
             column.watches.append(watch[name])
     sparse: dict[str, list[tuple[int, Any]]] = {name: [] for name in _SPARSE}
+    plans: list[_Plan] = []
     other = _of_other_types(bag)
     unread: Counter[str] = Counter()
     take: dict[str, Callable[[RawMessage], Any]] = {
         "diagnostics": lambda raw: list(_missed_ticks(raw.data)) or None,
         "goal/state": lambda raw: bag.decode(raw) if _REFUSED.encode() in raw.data else None,
         "intake/controller": lambda raw: _extend(answered, *_answered(raw.data)),
-        "plan/statistics": lambda raw: list(_plans(raw.data)),
+        "plan/statistics": lambda raw: plans.extend(_plans(raw.data)),
     }
     if watch is not None:
         is_repeated = _Repeated()
@@ -309,6 +316,8 @@ def read_signals(
     )
     state, command, torque, contact = (column.column() for column in columns.values())
     answers_ns = _answers(*map(_as_array, (*sent, *answered)))
+    for numbers in (*sent, *answered):
+        del numbers[:]
     received_ns, stamps_ns, sent_ns = map(_as_array, ticks)
     clock = Clock(received_ns, stamps_ns)
 
@@ -319,7 +328,7 @@ def read_signals(
 
     state_times = clock.of_stamps(state.stamp_ns, state.log_ns)
     safety_states = received("safety_state")
-    plans = sorted((plan for _, found in sparse.pop("plan/statistics") for plan in found), key=lambda plan: plan[0])
+    plans.sort(key=lambda plan: plan[0])
     keys = sorted({key for *_, names, _ in plans for key in names})
     plan_table = np.full((len(plans), len(keys)), np.nan)
     columns_of = {names: [keys.index(key) for key in names] for names in {names for *_, names, _ in plans}}
@@ -421,7 +430,7 @@ def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[SafetyEvent]:
             yield SafetyEvent(time, status.level, status.name, status.message, is_stopped(status))
 
 
-_Plan = tuple[int, str, tuple[str, ...], np.ndarray]
+_Plan = tuple[int, str, tuple[str, ...], Sequence[float]]
 """Time at which a plan takes effect, ns, why its search ended, and keys and values of its numbers."""
 
 
@@ -456,7 +465,7 @@ def _plans(data: bytes) -> Iterator[_Plan]:
     for stamp_ns, _, message, keys, values in _statuses(data):
         names, places = _kept(tuple(keys))
         reason = values[keys.index(_STOP_REASON)].decode() if _STOP_REASON in keys else message
-        yield stamp_ns, sys.intern(reason), names, np.array([float(values[place]) for place in places])
+        yield stamp_ns, sys.intern(reason), names, array("d", [float(values[place]) for place in places])
 
 
 def _answered(data: bytes) -> np.ndarray:
@@ -492,11 +501,11 @@ def _answers(numbers: np.ndarray, sent_ns: np.ndarray, wanted: np.ndarray, state
 def _extend(arrays: Sequence[array[int]], *parts: np.ndarray) -> None:
     """Append to each array, which grows in place, a part of whole numbers."""
     for grown, part in zip(arrays, parts, strict=True):
-        grown.frombytes(part.astype(np.int64, copy=False).tobytes())
+        grown.frombytes(part.astype(grown.typecode, copy=False).tobytes())
 
 
 def _as_array(numbers: array[int]) -> np.ndarray:
-    return np.frombuffer(numbers, np.int64)
+    return np.frombuffer(numbers, numbers.typecode)
 
 
 def _oddities(columns: Mapping[str, Column], commands: Mapping[str, Column]) -> Iterator[str]:
