@@ -62,6 +62,7 @@ setup(
         "pillow",
         "pin",
         "plotly",
+        "psutil",
         "pyyaml",
         "rich",
         "rosbags",

@@ -159,6 +159,11 @@ class StackProcesses:
             missing = {name: state for name, state in missing.items() if state != _ACTIVE}
             self.watch(_POLL_S)
 
+    @property
+    def ids(self) -> dict[str, int]:
+        """Ids of the processes that are running, by name."""
+        return {name: process.pid for name, process in self._running.items()}
+
     def wait_to_start(self, client: StackClient) -> None:
         """Wait until goals move the simulated arm, and the recorder, if there is one, hears them.
 
