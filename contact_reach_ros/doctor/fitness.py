@@ -185,7 +185,7 @@ def print_report(report: Mapping[str, Any]) -> None:
         ("goals reached", f"{report['goals_reached']}"),
         (
             "solver",
-            "{steps_p50:.0f} steps a plan, {deadline_fraction:.0%} ended by the deadline".format(**report["plans"]),
+            "{steps_p50:.0f} steps a plan, {deadline_fraction:.0%} ended by the deadline".format(**plans),
         ),
     ]
     total = {key: sum(node[key] for node in nodes.values()) for key in ("cores", "memory_mb")}
