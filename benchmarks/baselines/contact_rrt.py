@@ -31,7 +31,7 @@ from contact_reach_ros.settings import Settings, setting
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 
-_LANES = 64
+_LANES, _SPHERES = 64, 32
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,14 @@ class PredictedForce:
 
     def __init__(self, arm: Arm, spheres: Spheres, contact_stiffness: float) -> None:
         self._arm = arm
-        self._centers, self._radii = single(spheres.rest.T[:, :, None]), single(spheres.radius[:, None])
-        compliance = Network(spheres).softness + 1.0 / contact_stiffness if len(spheres) else np.zeros(0)
-        self._stiffness = single((1.0 / compliance)[:, None] if len(spheres) else np.zeros((0, 1)))
         self._is_empty = not len(spheres)
+        if self._is_empty:
+            return
+        # Filled up with spheres that oppose nothing, so that scenes share a program.
+        missing = ((0, -len(spheres) % _SPHERES), (0, 0))
+        stiffness = 1.0 / (Network(spheres).softness + 1.0 / contact_stiffness)
+        self._centers = single(np.pad(spheres.rest, missing).T[:, :, None])
+        self._radii, self._stiffness = (single(np.pad(own[:, None], missing)) for own in (spheres.radius, stiffness))
 
     def __call__(self, postures: Array) -> Array:
         """(N,) N at the postures (N, n)."""
