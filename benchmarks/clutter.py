@@ -36,11 +36,12 @@ _FIGURES = (
 
 @dataclass(frozen=True)
 class Clutter:
-    """What is run: a number of scenes with the seeds from `seed` on; for the rest see `Table1`."""
+    """What is run: a number of scenes with the seeds from `seed` on, or those of `only`; for the rest see `Table1`."""
 
     preset: str = "shipped"
     scenes: int = 100
     seed: int = FIRST_HELD_OUT
+    only: tuple[int, ...] = ()
     methods: tuple[str, ...] = (
         "contact_reach",
         "no_detours",
@@ -58,16 +59,20 @@ class Clutter:
         for method in self.methods:
             if method not in METHODS:
                 raise SettingsError(f"--methods '{method}' is unknown; expected one of {', '.join(METHODS)}")
-        for name, number, least in (("scenes", self.scenes, 1), ("seed", self.seed, 0)):
+        for name, number, least in (
+            ("scenes", self.scenes, 1),
+            ("seed", self.seed, 0),
+            *(("only", each, 0) for each in self.only),
+        ):
             if number < least:
                 raise SettingsError(f"--{name} {number}: expected at least {least}")
         if not self.timeout > 0.0:
             raise SettingsError(f"--timeout {self.timeout:g}: expected a positive time in s")
 
     @property
-    def seeds(self) -> range:
+    def seeds(self) -> Sequence[int]:
         """Of the scenes."""
-        return range(self.seed, self.seed + self.scenes)
+        return self.only or range(self.seed, self.seed + self.scenes)
 
     @property
     def cells(self) -> list[Cell]:
@@ -193,6 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--preset", help="configuration: paper_linear, paper_hinge or shipped (default: shipped)")
     parser.add_argument("--scenes", type=int, help="how many (default: 100)")
     parser.add_argument("--seed", type=int, help="of the first; below 10000 for tuning (default: 10000)")
+    parser.add_argument("--only", nargs="+", type=int, metavar="SEED", help="scenes, such as the oracle names, instead")
     parser.add_argument("--methods", nargs="+", metavar="METHOD", help="see benchmarks/baselines.md (default: eight)")
     parser.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 60)")
     options = given(parser, arguments)
