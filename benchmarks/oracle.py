@@ -40,7 +40,7 @@ from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_posi
 
 GOAL_SEEDS = 2048
 """From which inverse kinematics looks for postures at the goal, a quarter of them near the start."""
-MARGIN = 0.02
+MARGIN = 0.005
 """Distance of the postures from the joints' limits, rad."""
 SEARCHES = {"free": 6, "tolerant": 3}
 """RRT-Connect from scratch, until one finds a path."""

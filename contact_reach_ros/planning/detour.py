@@ -13,6 +13,7 @@ goal from where it got, and gives the goal up when none is left.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -28,6 +29,7 @@ from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.collision import clearances, nearest
 from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
 
 _ROOM = 5.0
 """Factor on the weight of contact on a detour, which has room to avoid it."""
@@ -45,6 +47,9 @@ _METRES_PER_RADIAN = 0.2
 
 _SEEDS_NEAR, _SEEDS_ANYWHERE, _SPREAD = 64, 192, 0.5
 """Postures from which inverse kinematics searches, the former with this standard deviation around the arm's, rad."""
+
+_SEEDS_LAST = 2048
+"""From which postures are sought before a goal is given up."""
 
 _MARGINS = 0.2, 0.05, 0.02
 """Distances from the joints' limits, rad, each for goals that no posture reaches with the one before."""
@@ -106,8 +111,8 @@ class Detours:
         Raises
         ------
         UnreachableError
-            If an arm without free dimensions makes no progress, has no posture at the goal left to try, and is not
-            among soft obstacles, which may go away.
+            If the arm makes no progress, and every posture at the goal would press harder than permitted; or one
+            without free dimensions has none left to try, and is not among soft obstacles, which may go away.
         """
         settings = self.settings
         if settings.detour_patience == 0.0:
@@ -148,6 +153,8 @@ class Detours:
                     f"{len(detour.postures) - 1}: joint limits, singularities, or the arm itself are in the way; give "
                     "another orientation, leave it free, or give a goal on the way first"
                 )
+            if not detour.number:
+                self._check_force(request)
             return detour._replace(nearest=q, waited=0.0, number=detour.number + 1, is_on=False)
         earlier = detour.postures if is_bound else detour.postures[:0]
         postures = np.concatenate([earlier, posture[None]])
@@ -159,9 +166,7 @@ class Detours:
         None if there is none without rigid bodies or a singularity in the way, and without more force than permitted.
         """
         arm, q, spheres, permitted = self.arm, request.q, request.spheres, self.permitted_force
-        softness = np.zeros(0)
-        if len(spheres):
-            softness = 1.0 / self.settings.contact_stiffness + Network(spheres).softness
+        softness = self._softness(spheres)
         best, least = None, np.inf
         for posture in _postures(arm, q, request.goal, detour):
             length = float(np.linalg.norm(posture - q))
@@ -171,12 +176,44 @@ class Detours:
             first, *later = [pair.distance for pair in nearest(arm, way, spheres.environment)] or [0.0]
             if min(later, default=0.0) < min(first, 0.0) or _is_singular(arm, way, request.goal):
                 continue
-            # At rest, of each sphere as if it were the only one.
-            depths = [np.maximum(-clearances(arm, station, spheres), 0.0) for station in way[1:]]
-            force = float((depths / softness).max(initial=0.0))
+            force = max(_force(arm, station, spheres, softness) for station in way[1:])
             if force <= permitted and length + force / permitted < least:
                 best, least = posture, length + force / permitted
         return best
+
+    def _check_force(self, request: Request) -> None:
+        """Raise `UnreachableError` if there are postures at the goal, and none that is permitted, as far as is seen."""
+        arm, goal, spheres = self.arm, request.goal, request.spheres
+        if not len(spheres):
+            return
+        seeds = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_SEEDS_LAST, arm.n))
+        postures = solve_ik(arm, goal.position, goal.rotation, seeds, _MARGINS[-1], goal.only_axis)
+        # Where the arm does not press them.
+        alone, softness = dataclasses.replace(spheres, center=spheres.rest), self._softness(spheres)
+        least = np.inf
+        for posture in postures:
+            least = min(least, _force(arm, posture, alone, softness))
+            if least <= self.permitted_force:
+                return
+        if len(postures):
+            raise UnreachableError(
+                f"cannot be reached within the contact budget: each of {len(postures)} postures at the goal at "
+                f"{np.round(goal.position, 3).tolist()} m presses with {least:.1f} N or more, permitted "
+                f"{self.permitted_force:g} N; move what is in the way, give another position or orientation, or leave "
+                "the orientation free"
+            )
+
+    def _softness(self, spheres: Spheres) -> Array:
+        """(K,) m/N, of each sphere with its surface as if it were the only one."""
+        if not len(spheres):
+            return np.zeros(0)
+        softness: Array = 1.0 / self.settings.contact_stiffness + Network(spheres).softness
+        return softness
+
+
+def _force(arm: Arm, posture: Array, spheres: Spheres, softness: Array) -> float:
+    """The largest force of a sphere on the arm at rest in a posture (n,), N."""
+    return float((np.maximum(-clearances(arm, posture, spheres), 0.0) / softness).max(initial=0.0))
 
 
 def _distance(arm: Arm, q: Array, goal: Target) -> tuple[float, float, float]:

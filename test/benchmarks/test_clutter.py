@@ -25,8 +25,8 @@ def test_a_seed_fixes_the_scene_and_seeds_differ():
 
 
 def test_scenes_are_those_of_a_range_or_of_a_list():
-    for bench, seeds in ((Clutter(scenes=2, seed=7), [7, 8]), (Clutter(only=(9, 4)), [9, 4])):
-        assert [cell.target for cell in bench.cells][:: len(bench.methods)] == seeds
+    for clutter, seeds in ((Clutter(scenes=2, seed=7), [7, 8]), (Clutter(only=(9, 4)), [9, 4])):
+        assert [cell.target for cell in clutter.cells][:: len(clutter.methods)] == seeds
 
 
 def test_scenes_begin_free_of_contact_and_can_be_simulated():
