@@ -8,9 +8,12 @@ from arm_simulation import ARM
 import contact_reach_ros as cr
 from benchmarks.baselines.methods import make_method
 from benchmarks.baselines.rrt_star import PathSettings, find_path
+from benchmarks.clutter_scenes import clutter_scene
+from benchmarks.oracle import Kind, classify
 from contact_reach_ros.arm import link_frames
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.presets import preset
+from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions, sphere_capacity
 
@@ -43,6 +46,15 @@ def test_the_planner_settles_at_a_fruit_where_reference_posture_does_not():
     assert ours.settled and ours.max_contact_force <= cr.ContactBudget().permitted_force
     theirs = run("reference_posture", scene, goal, 8.0, until_settled=True)
     assert not theirs.settled and not theirs.stop_reason
+
+
+def test_the_planner_settles_in_random_clutter_that_only_contact_leads_through():
+    file, permitted = clutter_scene(ARM, 18), cr.ContactBudget().permitted_force
+    scene = make_scene(file, ARM, 18)
+    assert classify(ARM, scene, permitted).kind is Kind.CONTACT
+    ours = run("contact_reach", scene, scene.goal, 25.0, until_settled=True)
+    assert ours.settled and 0.0 < ours.max_contact_force <= permitted
+    assert not run("reference_posture", scene, scene.goal, 25.0, until_settled=True).settled
 
 
 def test_the_planner_settles_at_a_goal_behind_walls_and_presses_less_than_half_as_hard_as_reference_posture(results):
