@@ -14,6 +14,7 @@ goal from where it got, and gives the goal up when none is left.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -86,7 +87,9 @@ class Detour(NamedTuple):
         if not self.is_on:
             return {"detour": 0.0}
         off = dict.fromkeys(("goal", "progress", "terminal", "orientation"), 0.0)
-        return off | {"contact": _ROOM * settings.contact_weight}
+        # As on the way to a goal: permitted contact must not keep the arm from where it has to be.
+        share = math.exp(-self.waited / settings.contact_patience) if settings.contact_patience else 1.0
+        return off | {"contact": _ROOM * share * settings.contact_weight}
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,8 @@ class Detours:
 
     def _follow(self, detour: Detour, request: Request, elapsed: float) -> Detour:
         """The progress `elapsed` seconds later."""
-        q, patience = request.q, self.settings.detour_patience
+        # On a detour the arm has waited long before contact costs little.
+        q, patience = request.q, (1 + detour.is_on) * self.settings.detour_patience
         (now, offset, angle), least = (_distance(self.arm, each, request.goal) for each in (q, detour.nearest))
         # One that has been at the goal, and is pushed away, stays in its posture.
         is_there, was_there = _is_there(offset, angle), _is_there(*least[1:])

@@ -72,7 +72,7 @@ def test_it_ends_near_its_posture_and_the_next_one_leads_elsewhere():
     first = followed(begin(), HOME, 1.2)
     arrived = followed(first, first.detour.posture + 0.02)
     assert not arrived.on_detour and arrived.detour.number == 1
-    stuck = followed(first, HOME, 1.2)
+    stuck = followed(first, HOME, 2.2)
     assert stuck.on_detour == 2
     assert np.abs(stuck.detour.posture - first.detour.posture).max() > 0.3
 
@@ -93,6 +93,17 @@ def test_no_detour_leads_into_more_force_than_permitted():
         followed(begin(), HOME, 1.2, spheres=firm)
     refused = followed(begin(), HOME, 1.2, spheres=ball_at(link_frames(ARM, HOME)[1][4], 5000.0))
     assert not refused.on_detour and refused.detour.number == 1
+
+
+def test_contact_costs_less_the_longer_the_arm_waits_on_a_detour():
+    first = followed(begin(), HOME, 1.2)
+    later = followed(first, HOME, 0.8)
+    assert later.on_detour == first.on_detour == 1
+    price = lambda request, **changes: request.detour.weights(dataclasses.replace(SMALL, **changes))["contact"]  # noqa: E731
+    waited = later.detour.waited - first.detour.waited
+    assert price(later) == pytest.approx(price(first) * np.exp(-waited / SMALL.contact_patience))
+    at_first = price(first._replace(detour=first.detour._replace(waited=0.0)))
+    assert at_first == price(later, contact_patience=0.0) > SMALL.contact_weight
 
 
 def test_settings_permit_none():
