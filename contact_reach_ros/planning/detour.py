@@ -49,8 +49,8 @@ _METRES_PER_RADIAN = 0.2
 _SEEDS_NEAR, _SEEDS_ANYWHERE, _SPREAD = 64, 192, 0.5
 """Postures from which inverse kinematics searches, the former with this standard deviation around the arm's, rad."""
 
-_SEEDS_LAST = 2048
-"""From which postures are sought before a goal is given up."""
+_SEEDS_LAST, _PARTS = 2048, 8
+"""From which postures are sought before a goal is given up, and in how many parts."""
 
 _MARGINS = 0.2, 0.05, 0.02
 """Distances from the joints' limits, rad, each for goals that no posture reaches with the one before."""
@@ -191,17 +191,18 @@ class Detours:
         if not len(spheres):
             return
         seeds = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_SEEDS_LAST, arm.n))
-        postures = solve_ik(arm, goal.position, goal.rotation, seeds, _MARGINS[-1], goal.only_axis)
         # Where the arm does not press them.
         alone, softness = dataclasses.replace(spheres, center=spheres.rest), self._softness(spheres)
-        least = np.inf
-        for posture in postures:
-            least = min(least, _force(arm, posture, alone, softness))
-            if least <= self.permitted_force:
-                return
-        if len(postures):
+        least, count = np.inf, 0
+        # Of most goals the first part has a posture that is permitted.
+        for part in np.split(seeds, _PARTS):
+            for posture in solve_ik(arm, goal.position, goal.rotation, part, _MARGINS[-1], goal.only_axis):
+                least, count = min(least, _force(arm, posture, alone, softness)), count + 1
+                if least <= self.permitted_force:
+                    return
+        if count:
             raise UnreachableError(
-                f"cannot be reached within the contact budget: each of {len(postures)} postures at the goal at "
+                f"cannot be reached within the contact budget: each of {count} postures at the goal at "
                 f"{np.round(goal.position, 3).tolist()} m presses with {least:.1f} N or more, permitted "
                 f"{self.permitted_force:g} N; move what is in the way, give another position or orientation, or leave "
                 "the orientation free"

@@ -82,7 +82,10 @@ def by_lanes(function: Function, backend: str, source: Function | None = None) -
 
 
 def _traced(function: Function, given: Any, candidate: Any) -> tuple[Any, Any]:
-    """The closed jaxpr of a function, and the shapes of its results; JAX keeps it as long as what it was given here."""
+    """The closed jaxpr of a function, and the shapes of its results.
+
+    JAX keeps it as long as the object that it traced, which is a passing one here.
+    """
     return jax.make_jaxpr(functools.partial(function), return_shape=True)(given, candidate)
 
 
