@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from lifecycle_msgs.srv import GetState
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from sensor_msgs.msg import JointState
 
 from contact_reach_ros.bringup.processes import BringupOptions, Process, processes
@@ -25,9 +26,9 @@ from contact_reach_ros.ros.graph import refuse_beside_another
 from contact_reach_ros.ros.interfaces import RECORDER
 from contact_reach_ros.ros.process import in_namespace
 from contact_reach_ros.ros.scheduling import prioritise_middleware
-from contact_reach_ros.settings import as_arguments
+from contact_reach_ros.settings import AUTOSTART, as_arguments
 
-_ACTIVE = "active"
+_UNCONFIGURED, _ACTIVE = "unconfigured", "active"
 _BRAKED = "braked"
 """Safety state of the simulated driver while its brakes are closed."""
 _STARTUP_S = 240.0
@@ -138,25 +139,37 @@ class StackProcesses:
         """
         prioritise_middleware()
         deadline = time.monotonic() + _STARTUP_S
-        for early in (True, False):
-            if not early:
-                # Once more: discovery has settled while the first processes got ready.
-                refuse_beside_another(self.client.node, self._names, self._running, patience=0.0)
-            started = [process for process in self._table if process.early is early]
-            for process in started:
-                self._start(process)
-            self._wait_active([process.name for process in started], deadline, progress)
-            self._optional |= {process.name for process in started if not process.essential}
+        loops = [process.name for process in self._table if not process.early]
+        for process in self._table:
+            self._start(process)
+        self._wait_for_state(_ACTIVE, [name for name in self._names if name not in loops], deadline, progress)
+        # Once more: discovery has settled while the processes got ready.
+        refuse_beside_another(self.client.node, self._names, self._running, patience=0.0)
+        self._wait_for_state(_UNCONFIGURED, loops, deadline, progress)
+        for name in loops:
+            self._activate(name)
+        self._wait_for_state(_ACTIVE, loops, deadline, progress)
+        self._optional |= {process.name for process in self._table if not process.essential}
 
-    def _wait_active(self, names: Sequence[str], deadline: float, progress: Callable[[str], None]) -> None:
+    def _activate(self, name: str) -> None:
+        """Take a node that waits for it to the state active."""
+        for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+            self.check()
+            request = ChangeState.Request(transition=Transition(id=transition))
+            if not self.client.call(f"{name}/change_state", ChangeState, request, _READY_S, _READY_S).success:
+                raise StackError(f"{name} does not get active{self._see_log()}")
+
+    def _wait_for_state(
+        self, wanted: str, names: Sequence[str], deadline: float, progress: Callable[[str], None]
+    ) -> None:
         missing = dict.fromkeys(names, "not asked yet")
         while missing:
             if time.monotonic() > deadline:
                 named = ", ".join(f"{name} ({state})" for name, state in missing.items())
-                raise StackError(f"not active after {_STARTUP_S:.0f} s: {named}{self._see_log()}")
+                raise StackError(f"not {wanted} after {_STARTUP_S:.0f} s: {named}{self._see_log()}")
             progress("waiting for " + ", ".join(missing))
             missing |= {name: self._state_of(name) for name in missing}
-            missing = {name: state for name, state in missing.items() if state != _ACTIVE}
+            missing = {name: state for name, state in missing.items() if state != wanted}
             self.watch(_POLL_S)
 
     @property
@@ -216,7 +229,7 @@ class StackProcesses:
             *("--ros-args", "--enclave", process.enclave, "--params-file", str(self.parameter_file)),
             *in_namespace(self.client.node.get_namespace()),
             *self._passed_on,
-            *as_arguments(process.parameters),
+            *as_arguments({**process.parameters, **({} if process.early else {AUTOSTART.name: False})}),
         ]
         self._running[process.name] = subprocess.Popen(
             [sys.executable, "-m", f"{PACKAGE}.nodes.{process.name}", *arguments],
