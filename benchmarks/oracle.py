@@ -21,22 +21,21 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.baselines.clearance import ClearanceChecker, levers
-from benchmarks.baselines.contact_rrt import PredictedForce
 from benchmarks.baselines.rrt_star import path_length
 from benchmarks.clutter_scenes import clutter_scene
 from benchmarks.output import command_line, given, run_command, say, table
-from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.planning.paths import Statics, connect
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.resources import write_text
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.scene import Scene
-from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_positions
+from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
 GOAL_SEEDS = 2048
 """From which inverse kinematics looks for postures at the goal, a quarter of them near the start."""
@@ -48,12 +47,7 @@ ITERATIONS = 400
 """Of each."""
 
 _MAX_GOALS = 60
-_RESOLUTION = 0.02
-"""Greatest motion of a point of the arm between two postures that are looked at, m."""
 _NEAR_START = 0.6
-_STEP = 1.0
-"""Towards a sample, rad; towards the other tree the arm goes as far as it can."""
-_LEAST_STEP = 0.05
 _STREAM = 31
 
 
@@ -99,90 +93,17 @@ class Verdict:
     path_length: float = float("nan")
 
 
-class Statics:
-    """Forces on an arm at rest among soft bodies, and what it must not meet."""
-
-    def __init__(self, arm: Arm, spheres: Spheres, start: Array) -> None:
-        self.arm = arm
-        self.force = PredictedForce(arm, spheres, PlanningSettings().contact_stiffness)
-        self.rigid = ClearanceChecker(arm, Spheres.none(spheres.environment), 0.0, _RESOLUTION, start)
-
-    def reach(self, start: Array, end: Array, limit: float) -> tuple[float, float]:
-        """How much of a straight motion between two postures (n,) is permitted, 0 to 1, and the largest force on it."""
-        count = 1 + max(1, int(np.ceil(np.abs(end - start) @ levers(self.arm) / _RESOLUTION)))
-        postures = start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)
-        forces = self.force(postures)
-        refused = (forces > limit) | ~self.rigid.free(postures)
-        # The start is a posture that was permitted before.
-        refused[0] = False
-        last = int(refused.argmax()) - 1 if refused.any() else count - 1
-        return last / (count - 1), float(forces[: last + 1].max())
-
-
-class _Tree:
-    """Postures, each with the one that it was reached from."""
-
-    def __init__(self, roots: Array) -> None:
-        self.postures, self._parents = [*roots], [-1] * len(roots)
-
-    def grow(self, statics: Statics, sample: Array, step: float, limit: float) -> tuple[int, bool]:
-        """Move from the nearest posture towards a sample, by `step` rad at most.
-
-        Returns the number of the last posture, the nearest one if the arm cannot move, and whether it is the sample.
-        """
-        nearest = int(((np.array(self.postures) - sample) ** 2).sum(axis=1).argmin())
-        way = sample - self.postures[nearest]
-        length = float(np.linalg.norm(way))
-        if length < 1e-9:
-            return nearest, True
-        wanted = min(length, step)
-        share, _ = statics.reach(self.postures[nearest], self.postures[nearest] + way * wanted / length, limit)
-        if share * wanted < min(_LEAST_STEP, wanted):
-            return nearest, False
-        self.postures.append(self.postures[nearest] + way * share * wanted / length)
-        self._parents.append(nearest)
-        return len(self.postures) - 1, share * wanted >= length - 1e-9
-
-    def path(self, number: int) -> list[Array]:
-        """From a posture back to a root."""
-        found = []
-        while number >= 0:
-            found.append(self.postures[number])
-            number = self._parents[number]
-        return found
-
-
-def connect(statics: Statics, start: Array, goals: Array, limit: float, random: np.random.Generator) -> Array | None:
-    """Postures (P, n) of a path from the start to one of the goals (G, n) on which no link presses harder than a limit.
-
-    None if there is none after `ITERATIONS`.
-    """
-    lower = np.minimum(np.array(statics.arm.lower) + MARGIN, start)
-    upper = np.maximum(np.array(statics.arm.upper) - MARGIN, start)
-    trees = [_Tree(start[None]), _Tree(goals)]
-    for iteration in range(ITERATIONS):
-        own, other = trees if iteration % 2 == 0 else trees[::-1]
-        # The way that needs no search is tried first.
-        sample = goals[0] if iteration == 0 else random.uniform(lower, upper)
-        number, _ = own.grow(statics, sample, _STEP if iteration else np.inf, limit)
-        met, is_there = other.grow(statics, own.postures[number], np.inf, limit)
-        if is_there:
-            halves = own.path(number)[::-1], other.path(met)[1:]
-            path = np.array([*halves[0], *halves[1]])
-            return path if own is trees[0] else path[::-1]
-    return None
-
-
 def classify(arm: Arm, scene: Scene, permitted_force: float) -> Verdict:
     """What a scene asks for; the same for the same scene, on any machine."""
     random = np.random.default_rng((_STREAM, scene.seed))
-    statics = Statics(arm, obstacle_spheres(scene, rest_positions(scene)), scene.start)
     target = scene.goal.resolve(arm, RobotModel(arm).tip_pose(scene.start)[1])
+    spheres = obstacle_spheres(scene, rest_positions(scene))
+    statics = Statics(arm, spheres, PlanningSettings().contact_stiffness, scene.start, target)
     near = scene.start + _NEAR_START * random.standard_normal((GOAL_SEEDS // 4, arm.n))
     seeds = np.concatenate([near, random.uniform(arm.lower, arm.upper, (GOAL_SEEDS - len(near), arm.n))])
     goals = solve_ik(arm, target.position, target.rotation, seeds, MARGIN)
-    goals = goals[statics.rigid.free(goals)] if len(goals) else goals
-    forces = statics.force(goals) if len(goals) else np.zeros(0)
+    goals = goals[statics.free(goals)] if len(goals) else goals
+    forces = statics.forces(goals) if len(goals) else np.zeros(0)
     order = np.argsort(np.linalg.norm(goals - scene.start, axis=1), kind="stable")
     within = {name: [i for i in order if forces[i] <= limit] for name, limit in _limits(permitted_force).items()}
     least = float(forces.min()) if len(forces) else float("nan")
@@ -194,7 +115,7 @@ def classify(arm: Arm, scene: Scene, permitted_force: float) -> Verdict:
             continue
         chosen = goals[[*within[name][: _MAX_GOALS // 2], *random.permutation(within[name])[: _MAX_GOALS // 2]]]
         for _ in range(SEARCHES[name]):
-            path = connect(statics, scene.start, chosen, limit, random)
+            path, _ = connect(statics, chosen, limit, MARGIN, ITERATIONS, random)
             if path is not None:
                 peak = max(statics.reach(a, b, np.inf)[1] for a, b in itertools.pairwise(path))
                 return dataclasses.replace(found, kind=kind, path_force=peak, path_length=path_length(path))

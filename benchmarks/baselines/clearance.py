@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.obstacles import nearest_bodies
+from contact_reach_ros.planning.paths import levers
 from contact_reach_ros.planning.transfer.arithmetic import dot, single
 from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion
 from contact_reach_ros.planning.transfer.dynamics import link_frames, place_capsules
@@ -21,18 +22,6 @@ from contact_reach_ros.world.spheres import Spheres
 
 _LANES = 64
 """Postures that one call of the compiled programs looks at."""
-
-
-@functools.cache
-def levers(arm: Arm) -> Array:
-    """(n,) m: turning joint i by an angle moves no point of the arm by more than that angle times its lever."""
-    offsets = np.array([joint.offset for joint in arm.joints])
-    last = arm.capsules[-1]
-    # The origin of the next joint only turns with this one as far as it lies beside this one's axis.
-    beside = np.append(np.linalg.norm(offsets[1:, :2], axis=1), 0.0)
-    lengths = np.append(np.linalg.norm(offsets[1:], axis=1), 0.0)
-    beyond = np.array([lengths[joint + 1 :].sum() for joint in range(arm.n)])
-    return beside + beyond + float(np.linalg.norm(last.end)) + max(capsule.radius for capsule in arm.capsules)
 
 
 class ClearanceChecker:

@@ -7,15 +7,12 @@ the step, and the temperature follows how often steps are refused. As in contact
 
 from __future__ import annotations
 
-import functools
 import time
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.baselines.clearance import ClearanceChecker, distances, levers
+from benchmarks.baselines.clearance import ClearanceChecker
 from benchmarks.baselines.rrt_star import (
     JointPath,
     PathSettings,
@@ -25,13 +22,10 @@ from benchmarks.baselines.rrt_star import (
 )
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.errors import PlanningError
-from contact_reach_ros.planning.obstacles import Network
-from contact_reach_ros.planning.transfer.arithmetic import single
+from contact_reach_ros.planning.paths import Statics, levers
 from contact_reach_ros.settings import Settings, setting
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
-
-_LANES, _SPHERES = 64, 32
 
 
 @dataclass(frozen=True)
@@ -53,43 +47,6 @@ class ContactRrtSettings(Settings):
     )
 
 
-class PredictedForce:
-    """The largest force on one link in a posture at rest: penetration times the stiffness that it meets.
-
-    That of a sphere is its surface's in series with what its springs, and those of the mesh that it is part of, oppose
-    to it alone.
-    """
-
-    def __init__(self, arm: Arm, spheres: Spheres, contact_stiffness: float) -> None:
-        self._arm = arm
-        self._is_empty = not len(spheres)
-        if self._is_empty:
-            return
-        # Filled up with spheres that oppose nothing, so that scenes share a program.
-        missing = ((0, -len(spheres) % _SPHERES), (0, 0))
-        stiffness = 1.0 / (Network(spheres).softness + 1.0 / contact_stiffness)
-        self._centers = single(np.pad(spheres.rest, missing).T[:, :, None])
-        self._radii, self._stiffness = (single(np.pad(own[:, None], missing)) for own in (spheres.radius, stiffness))
-
-    def __call__(self, postures: Array) -> Array:
-        """(N,) N at the postures (N, n)."""
-        if self._is_empty:
-            return np.zeros(len(postures))
-        missing = -len(postures) % _LANES
-        padded = np.concatenate([postures, np.repeat(postures[-1:], missing, axis=0)])
-        forces = [
-            np.asarray(_forces(self._arm, single(chunk.T), self._centers, self._radii, self._stiffness), float)
-            for chunk in padded.reshape(-1, _LANES, postures.shape[1])
-        ]
-        return np.concatenate(forces)[: len(postures)]
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _forces(arm: Arm, postures: jax.Array, centers: jax.Array, radii: jax.Array, stiffness: jax.Array) -> jax.Array:
-    depths = jnp.maximum(-distances(arm, postures, centers, radii), 0.0)
-    return (depths * stiffness[None]).sum(axis=1).max(axis=0)
-
-
 def find_contact_path(
     arm: Arm,
     start: Array,
@@ -108,7 +65,7 @@ def find_contact_path(
         If no posture at the goal, or no path to one, keeps below the permitted force.
     """
     begin, settings, random = time.perf_counter(), settings or ContactRrtSettings(), np.random.default_rng(seed)
-    search = _Search(arm, spheres, permitted_force, contact_stiffness, start, settings, random)
+    search = _Search(arm, spheres, permitted_force, contact_stiffness, start, goal, settings, random)
     goals = goal_candidates(arm, start, goal, PathSettings(), random)
     forces = search.force(goals) if len(goals) else np.zeros(0)
     goals = goals[(forces <= permitted_force) & search.rigid.free(goals)] if len(goals) else goals
@@ -137,10 +94,11 @@ class _Search:
         permitted_force: float,
         contact_stiffness: float,
         start: Array,
+        goal: Target,
         settings: ContactRrtSettings,
         random: np.random.Generator,
     ) -> None:
-        self.force = PredictedForce(arm, spheres, contact_stiffness)
+        self.force = Statics(arm, spheres, contact_stiffness, start, goal).forces
         self.rigid = ClearanceChecker(arm, Spheres.none(spheres.environment), 0.0, PathSettings().resolution, start)
         self.iterations = self.checks = 0
         self._arm, self._permitted, self._settings, self._random = arm, permitted_force, settings, random

@@ -60,6 +60,7 @@ def request_parts(number: int, request: Request, memory: Memory | None, found: A
         if detour is not None:
             progress = detour.waited, detour.number, detour.is_on
             parts["detour"] = np.array([*progress, *detour.nearest, *np.ravel(detour.postures)])
+            parts["detour path"] = detour.path
         for index, trajectory in enumerate(_in_force(memory.trajectories, request.state_ns)):
             parts[f"{_TRAJECTORY}{index}"] = _trajectory_numbers(trajectory, request.state_ns)
     return {name: np.ravel(values).astype(float) for name, values in parts.items()}
@@ -94,7 +95,8 @@ def read_memory(parts: Parts, request: Request, knot_duration_s: float, ramp_s: 
     if "detour" in parts:
         waited, number, is_on, *numbers = parts["detour"].tolist()
         nearest, *postures = np.reshape(numbers, (-1, len(request.q)))
-        detour = Detour(nearest, waited, int(number), bool(is_on), np.array(postures))
+        path = np.reshape(parts.get("detour path", postures[-1]), (-1, len(request.q)))
+        detour = Detour(nearest, waited, int(number), bool(is_on), np.array(postures), path)
     effect_ns = trajectories[-1].effect_ns
     if "last effect" in parts:
         effect_ns = request.state_ns + int(parts["last effect"][0])

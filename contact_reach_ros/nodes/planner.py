@@ -192,7 +192,7 @@ class PlannerNode(ManagedNode):
         """Log a detour that begins: the arm moves away from its goal."""
         detour, number = memory.request.detour, memory.request.on_detour
         if detour is not None and number > self._detour:
-            posture = np.round(detour.posture, 2).tolist()
+            posture = np.round(detour.postures[-1], 2).tolist()
             self.get_logger().info(f"goal {self._goals}: no progress; a detour leads to the posture {posture} rad")
         self._detour = number
 

@@ -12,6 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm.kinematics import link_frames_of_many
+from contact_reach_ros.arm.task import task_jacobians
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.settings import BOUNDS, POSTURE_BOUND, ROTATION_BOUND, PlanningSettings
 from contact_reach_ros.planning.terms import Context, Number, Problem, Rollout, weighted_terms
@@ -194,7 +196,7 @@ class ReferenceSpace:
     """
 
     def __init__(self, arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> None:
-        self.objective = make_objective(arm, settings, gains)
+        self.objective, self._arm = make_objective(arm, settings, gains), arm
         rows = self.objective.system.gains.rows
         moves_posture = arm.n > rows
         self._planned = np.r_[:rows, N_TASK : N_TASK + moves_posture * arm.n]
@@ -207,6 +209,14 @@ class ReferenceSpace:
         actions = points * self.bounds[:, None] * problem.speed_scale
         actions = actions.reshape(self.objective.horizon, -1, points.shape[1])
         return collect(actions, self._planned, self.objective.system.action_size)
+
+    def towards(self, q: Array, posture: Array) -> Array:
+        """The point (N,) whose actions all lead straight through joint space from `q` to a posture, (n,) each, rad."""
+        frames, origins = link_frames_of_many(self._arm, q[None])
+        (jacobian,) = task_jacobians(frames, origins, self.objective.system.gains.task)
+        action = np.concatenate([jacobian, np.eye(self._arm.n)]) @ (posture - q)
+        point = action[: len(self.bounds) // self.vectors] / self.bounds[: len(self.bounds) // self.vectors]
+        return np.tile(point / max(1.0, np.abs(point).max()), self.vectors)
 
     def cost(self, problem: Problem, points: jax.Array) -> jax.Array:
         """Cost (B,) of points (N, B), for the solver to minimise."""

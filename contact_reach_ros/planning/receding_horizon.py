@@ -340,14 +340,21 @@ class RecedingHorizonPlanner:
                 points = _pair(shift_solution(memory.best, count, passed), points[:, 0])
                 # A state that has converged to another goal would search in the wrong directions.
                 carried = memory.state if request.continues(memory.request) else None
-        _, terms = self._evaluate(problem, points)
-        costs = np.sum([np.asarray(part) for part in terms.values()], axis=0)
-        costs = np.where(np.isfinite(costs), costs, np.inf)
+        costs = self._costs(problem, points)
+        if request.on_detour and request.detour is not None:
+            ahead = _pair(self._space.towards(request.q, request.detour.posture))
+            points, costs = np.hstack([points, ahead]), np.append(costs, self._costs(problem, ahead))
         index = int(np.argmin(costs))
         best = points[:, index]
         if carried is None:
             return self._solver.init(best, self._spread), float(costs[index])
         return self._solver.shift(carried, best, self._spread, count, passed), float(costs[index])
+
+    def _costs(self, problem: Problem, points: np.ndarray) -> np.ndarray:
+        """Costs (2,) of two points (N, 2)."""
+        _, terms = self._evaluate(problem, points)
+        costs = np.sum([np.asarray(part) for part in terms.values()], axis=0)
+        return np.where(np.isfinite(costs), costs, np.inf)
 
     def _plan_of(
         self,

@@ -68,7 +68,7 @@ class PlanningSettings(Settings):
     )
     detour_patience: float = setting(
         1.0,
-        "time without progress towards the goal after which the arm takes a detour, straight through joint space to "
+        "time without progress towards the goal after which the arm takes a detour through joint space to "
         "another posture in which it is at the goal; 0 for never",
         unit="s",
         minimum=0.0,

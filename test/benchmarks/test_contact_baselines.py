@@ -1,12 +1,12 @@
 """The baselines that know of contact or of no plan: forces, paths below the permitted one, straight motion."""
 
 import numpy as np
-import pytest
 from arm_simulation import ARM, HOME
 
-from benchmarks.baselines.contact_rrt import PredictedForce, find_contact_path
+from benchmarks.baselines.contact_rrt import find_contact_path
 from benchmarks.baselines.reactive import ReactivePlanner
 from contact_reach_ros.arm import link_frames
+from contact_reach_ros.planning.paths import Statics
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.world.goal import Target
@@ -21,14 +21,6 @@ def ball(center, stiffness=100.0, radius=0.1):
     return Spheres(np.array([center]), np.array([center]), radius * one, stiffness * one, 30.0 * one)
 
 
-def test_the_force_is_that_of_two_springs_in_series():
-    spheres = ball(ELBOW, 100.0)
-    deeper = ball(ELBOW, 100.0, 0.11)
-    first, second = (PredictedForce(ARM, each, 1000.0)(HOME[None])[0] for each in (spheres, deeper))
-    assert second - first == pytest.approx(0.01 / (1 / 100 + 1 / 1000), rel=1e-3)
-    assert PredictedForce(ARM, ball(ELBOW + np.array([0.0, 0.0, 3.0])), 1000.0)(HOME[None])[0] == 0.0
-
-
 def test_no_path_presses_harder_than_permitted():
     goal = Target(FLANGE + np.array([0.0, 0.15, -0.1]), ROTATION)
     q = HOME.copy()
@@ -38,7 +30,7 @@ def test_no_path_presses_harder_than_permitted():
     path = find_contact_path(ARM, HOME, goal, spheres, 10.0, 1000.0, seed=1)
     np.testing.assert_array_equal(path.postures[0], HOME)
     np.testing.assert_allclose(link_frames(ARM, path.postures[-1])[1][-1], goal.position, atol=1e-3)
-    force = PredictedForce(ARM, spheres, 1000.0)
+    force = Statics(ARM, spheres, 1000.0, HOME, goal).forces
     for start, end in zip(path.postures[:-1], path.postures[1:], strict=True):
         assert force(start + np.linspace(0.0, 1.0, 30)[:, None] * (end - start)).max() <= 11.0
     again = find_contact_path(ARM, HOME, goal, spheres, 10.0, 1000.0, seed=1)

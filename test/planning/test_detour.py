@@ -15,11 +15,13 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import PlanningError, UnreachableError
 from contact_reach_ros.planning.detour import Detours
+from contact_reach_ros.planning.paths import Statics, length
 from contact_reach_ros.planning.plan import Request
+from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.world.collision import nearest
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.rigid import Plane
-from contact_reach_ros.world.spheres import Spheres
+from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_positions
 
 GOAL = Target(ORIGINS[-1] + np.array([0.1, 0.15, -0.1]), ROTATIONS[-1])
 PERIOD = 0.04
@@ -93,6 +95,27 @@ def test_no_detour_leads_into_more_force_than_permitted():
         followed(begin(), HOME, 1.2, spheres=firm)
     refused = followed(begin(), HOME, 1.2, spheres=ball_at(link_frames(ARM, HOME)[1][4], 5000.0))
     assert not refused.on_detour and refused.detour.number == 1
+
+
+def test_a_path_leads_around_what_is_in_the_straight_ways():
+    """Through the slalom of the paper's authors, to which no straight way in joint space leads."""
+    scene = load_scene("slalom")
+    spheres, goal = obstacle_spheres(scene, rest_positions(scene)), Target(scene.goal.position)
+    detours, q = Detours(scene.arm, SMALL, PERMITTED_FORCE), scene.start
+    last = detours.target(Request(q, REST, 0, 0, goal, spheres), None)
+    last = last._replace(detour=last.detour._replace(waited=SMALL.detour_patience))
+    request = detours.target(last._replace(effect_ns=last.effect_ns + 40 * MS), last)
+    path = np.concatenate([q[None], request.detour.path])
+    assert request.on_detour == 1 and length(path) > 1.0
+    np.testing.assert_allclose(link_frames(scene.arm, path[-1])[1][-1], goal.position, atol=2e-4)
+    statics = Statics(scene.arm, spheres, SMALL.contact_stiffness, q, goal)
+    assert statics.reach(q, path[-1], 0.0)[0] < 1.0
+    assert all(statics.reach(a, b, 0.0) == (1.0, 0.0) for a, b in itertools.pairwise(path))
+    # Plans lead a little ahead, then to the posture at the end.
+    on = detours.target(request._replace(q=path[3], effect_ns=request.effect_ns + 40 * MS), request)
+    assert len(on.detour.path) < len(request.detour.path) - 2
+    assert 0.5 <= np.linalg.norm(on.detour.posture - path[3]) < 1.0
+    assert on.on_detour == 1 and on.detour.waited == 0.0
 
 
 def test_contact_costs_less_the_longer_the_arm_waits_on_a_detour():
@@ -182,12 +205,18 @@ def side(q: np.ndarray) -> float:
 
 def test_without_free_dimensions_an_arm_goes_for_its_goal_after_each_detour_and_gives_up_when_none_is_left():
     requests = stuck(Spheres.none())
-    (posture,) = requests[-1].detour.postures[1:]
+    posture, *others = requests[-1].detour.postures[1:]
     np.testing.assert_allclose(posture, START + np.array([0.4, -0.2, 0.3, 0.1, 0.2, 0.3]), atol=5e-3)
     for turned in (posture - 2.0 * np.pi, posture + 2.0 * np.pi):
         is_within = (turned > UR10.lower + 0.2) & (turned < UR10.upper - 0.2)
         assert (np.abs(turned - START) >= np.abs(posture - START))[is_within].all()
-    assert [on for on, _ in itertools.groupby(request.on_detour for request in requests)] == [0, 1, 0]
+    # The others are behind a straight way past a singularity, which a path goes around.
+    for one, other in itertools.combinations([posture, *others], 2):
+        assert np.abs((one - other + np.pi) % (2.0 * np.pi) - np.pi).max() > 0.3
+    assert [on > 0 for on, _ in itertools.groupby(request.on_detour for request in requests)] == [
+        False,
+        *[True, False] * (1 + len(others)),
+    ]
 
 
 def test_without_free_dimensions_no_detour_passes_a_singularity():

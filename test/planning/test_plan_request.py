@@ -69,7 +69,7 @@ def test_a_plan_is_made_again_from_its_message_alone(planner, before, goal):
 
 def test_a_plan_on_a_detour_is_made_again(planner):
     planner.plan(request_at(0))
-    detour = Detour(HOME + 0.1, 0.1, 3, True, np.stack([HOME, HOME + 0.4]))
+    detour = Detour(HOME + 0.1, 0.1, 3, True, np.stack([HOME, HOME + 0.4]), np.stack([HOME + 0.3, HOME + 0.4]))
     memory = planner.memory._replace(request=planner.memory.request._replace(detour=detour))
     planner.memory = memory
     first = planner.plan(request_at(40))
