@@ -130,18 +130,20 @@ class Detours:
         Raises
         ------
         UnreachableError
-            If the arm makes no progress, and every posture at the goal would press harder than permitted; or one
-            without free dimensions has none left to try, and is not among soft obstacles, which may go away.
+            If every posture at a new goal, or when there is no progress, would press harder than permitted; or if an
+            arm without free dimensions has none left to try, and is not among soft obstacles, which may go away.
         """
         settings = self.settings
         if settings.detour_patience == 0.0:
             return request
+        seen = request if settings.orientation_weight else request._replace(goal=Target(request.goal.position))
         if last is None or last.detour is None or not request.goal.is_near(last.goal):
+            if len(request.spheres):
+                self._permitted(self._statics(seen), seen.goal, np.zeros((0, self.arm.n)), 0)
             return request._replace(detour=Detour(request.q, 0.0, 0, False, request.q[None], request.q[None]))
         # Without a plan in force the arm cannot make progress.
         elapsed = min((request.effect_ns - last.effect_ns) * 1e-9, settings.horizon * settings.knot_duration)
-        goal = request.goal if settings.orientation_weight else Target(request.goal.position)
-        return request._replace(detour=self._follow(last.detour, request._replace(goal=goal), elapsed))
+        return request._replace(detour=self._follow(last.detour, seen, elapsed))
 
     def _follow(self, detour: Detour, request: Request, elapsed: float) -> Detour:
         """The progress `elapsed` seconds later."""
@@ -180,22 +182,33 @@ class Detours:
         postures = np.concatenate([earlier, path[-1:]])
         return Detour(q, 0.0, detour.number + 1, True, postures, path)
 
+    def _statics(self, request: Request) -> Statics:
+        return Statics(self.arm, request.spheres, self.settings.contact_stiffness, request.q, request.goal)
+
     def _choose(self, request: Request, detour: Detour) -> Array | None:
         """A way (p, n) to a posture at the goal: the straight one that costs least or, without one, a path.
 
         None if there is none without rigid bodies or a singularity in the way, and without more force than permitted.
-        Raises `UnreachableError` if every posture at the goal presses harder than that.
         """
-        arm, goal, known = self.arm, request.goal, detour.known(request.q, is_bound(self.arm, request.goal))
-        statics = Statics(arm, request.spheres, self.settings.contact_stiffness, request.q, goal)
+        statics, known = self._statics(request), detour.known(request.q, is_bound(self.arm, request.goal))
+        postures = self._permitted(statics, request.goal, known, detour.number)
+        if not len(postures):
+            return None
+        way = self._straight(statics, postures)
+        return self._search(statics, postures, detour.number) if way is None else way
+
+    def _permitted(self, statics: Statics, goal: Target, known: Array, number: int) -> Array:
+        """Permitted postures (N, n) at a goal that are not known, the nearest first: some, not all.
+
+        Raises `UnreachableError` if every posture at the goal, known or not, presses harder than permitted.
+        """
         least, count = np.inf, 0
-        for postures in _postures(arm, request.q, goal, detour.number):
+        for postures in _postures(self.arm, statics.start, goal, number):
             least = min(least, statics.forces(postures, of_spheres=True).min())
             count += len(postures)
-            others = postures[[_differ(arm, posture, known) for posture in postures]]
+            others = postures[[_differ(self.arm, posture, known) for posture in postures]]
             if len(permitted := others[statics.permitted(others, self.permitted_force)]):
-                way = self._straight(statics, permitted)
-                return self._search(statics, permitted, detour.number) if way is None else way
+                return permitted
         if count and least > self.permitted_force:
             raise UnreachableError(
                 f"cannot be reached within the contact budget: each of {count} postures at the goal at "
@@ -203,7 +216,7 @@ class Detours:
                 f"{self.permitted_force:g} N; move what is in the way, give another position or orientation, or leave "
                 "the orientation free"
             )
-        return None
+        return known[:0]
 
     def _straight(self, statics: Statics, postures: Array) -> Array | None:
         """The straight way to one of the postures (N, n) that costs least: 1 for each radian, and for each ε on it."""

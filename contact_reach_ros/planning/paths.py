@@ -16,7 +16,7 @@ from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.capsules import moving, shape_segments
 from contact_reach_ros.arm.inverse_kinematics import pose_errors
 from contact_reach_ros.planning.obstacles import Network
-from contact_reach_ros.world.collision import nearest, overlap_depths
+from contact_reach_ros.world.collision import GOAL_CLEARANCE, nearest, overlap_depths
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 
@@ -55,7 +55,7 @@ class Statics:
     contact_stiffness
         Of their surfaces, N/m.
     start
-        (n,) rad, where motions begin. They may go as deep into rigid bodies as the arm is there.
+        (n,) rad, where motions begin. They keep as far from rigid bodies as a goal has to, or as the arm does there.
     goal
         Of the motions. An arm to which it leaves no free dimension meets singularities, too.
     """
@@ -66,7 +66,7 @@ class Statics:
         self._stiffness = 1.0 / (1.0 / contact_stiffness + Network(spheres).softness) if len(spheres) else np.zeros(0)
         self._side = self._sides(start[None])
         pairs = nearest(arm, start[None], spheres.environment)
-        self._depth = min(pairs[0].distance, 0.0) if pairs else -np.inf
+        self._clearance = min(pairs[0].distance, GOAL_CLEARANCE) if pairs else -np.inf
 
     def forces(self, postures: Array, of_spheres: bool = False) -> Array:
         """(N,) N, the largest force on one link, or that of one sphere, in postures (N, n).
@@ -84,7 +84,7 @@ class Statics:
         """(N,) whether postures (N, n) meet no rigid body, and no singularity on the way."""
         pairs = nearest(self.arm, postures, self._spheres.environment)
         apart = np.array([pair.distance for pair in pairs]) if pairs else np.full(len(postures), np.inf)
-        found: NDArray[np.bool_] = (apart >= self._depth) & (self._sides(postures) == self._side)
+        found: NDArray[np.bool_] = (apart >= self._clearance) & (self._sides(postures) == self._side)
         return found
 
     def permitted(self, postures: Array, limit: float) -> NDArray[np.bool_]:

@@ -131,7 +131,8 @@ def test_a_plan_that_leads_into_a_body_is_refused(planner, monkeypatch):
     """Of the shared planner, made to ignore bodies; its compiled programs are the same."""
     monkeypatch.setattr(planner, "_settings", dataclasses.replace(planner._settings, clearance_weight=1e-6))
     goal = Goal(BESIDE)
-    result = stack_for(planner, (TABLE,), goal).run(goal, 3.0)
+    # Until a detour is due.
+    result = stack_for(planner, (TABLE,), goal).run(goal, 1.1)
     assert not result.reached and result.max_contact_force == 0.0
     assert "the plan would bring the arm into a collision: lbr_link_7 lies" in result.stop_reason
     assert "deep in the table, permitted are 2 mm" in result.stop_reason

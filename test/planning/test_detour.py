@@ -87,12 +87,13 @@ def test_an_arm_that_has_been_at_the_goal_stays_in_its_posture():
 
 
 def test_no_detour_leads_into_more_force_than_permitted():
-    """The goal is given up where every posture there presses harder, and not where only the ways to the nearest do."""
+    """A goal is refused where every posture there presses harder, and not where only the ways to the nearest do."""
     soft, firm = ball_at(GOAL.position, 20.0), ball_at(GOAL.position, 5000.0)
     assert followed(begin(), HOME, 1.2, spheres=soft).on_detour
+    for refused in (lambda: begin(spheres=firm), lambda: followed(begin(), HOME, 1.2, spheres=firm)):
+        with pytest.raises(UnreachableError, match=r"contact budget: each of \d{3,} postures at the goal .* N"):
+            refused()
     followed(begin(), HOME, 0.96, spheres=firm)
-    with pytest.raises(UnreachableError, match=r"within the contact budget: each of \d{3,} postures at the goal .* N"):
-        followed(begin(), HOME, 1.2, spheres=firm)
     refused = followed(begin(), HOME, 1.2, spheres=ball_at(link_frames(ARM, HOME)[1][4], 5000.0))
     assert not refused.on_detour and refused.detour.number == 1
 
