@@ -211,6 +211,8 @@ class TorquePlanner(RecedingHorizonPlanner):
         capacity: int,
         damping: Array,
     ) -> None:
+        # Detours are led by references.
+        settings = dataclasses.replace(settings, detour_patience=0.0)
         super().__init__(arm, settings, controller, permitted_force, capacity)
         self._damping = damping
         self._ramp_s = 0.0

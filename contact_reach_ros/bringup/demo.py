@@ -34,7 +34,7 @@ INTERRUPTED = 130
 _LOOK_S = 0.1
 _LINE_S = 1.0
 _DYING_S = 0.5
-_TIMEOUT_S = 30.0
+_TIMEOUT_S = 60.0
 """Time of the robot's clock in which the goal must be reached, s."""
 _SETTLE_S = 1.2
 """Time of the robot's clock that is recorded after the goal was reached, s."""
