@@ -51,8 +51,9 @@ _LONG = 300_000
 _STEPS_NS, _STEP_NS = {"joint_states": 10_000_000}, 50_000_000
 """Time between the messages then, beside extremes, ns; the distance to the goal takes a joint state each 10 ms."""
 
-_REFUSED = "refused"
-"""Phase of a goal that is not pursued."""
+_REFUSED, _SETTLED = "refused", "settled"
+"""Phases of goals that are kept: one that is not pursued, and one at which the arm is at rest."""
+_KEPT_PHASES = tuple(phase.encode() for phase in (_REFUSED, _SETTLED))
 
 _OF_PLANS = ("took ms", "cost")
 """Beginnings of the keys in plan/statistics that are kept."""
@@ -174,6 +175,8 @@ class EpisodeSignals:
         Positions of the goals that the planner accepted, m: the columns x, y and z.
     refused_goals :
         Positions of the goals that the planner refused, likewise.
+    settled :
+        (n,) times at which the planner reported that the arm has settled at its goal, s.
     missed_ticks :
         The driver's count of missed ticks: one column.
     plans :
@@ -203,6 +206,7 @@ class EpisodeSignals:
     safety_states: Sequence[tuple[float, Any]]
     goals: Series
     refused_goals: Series
+    settled: np.ndarray
     missed_ticks: Series
     plans: Series
     stop_reasons: tuple[str, ...]
@@ -289,7 +293,7 @@ def read_signals(
     unread: Counter[str] = Counter()
     take: dict[str, Callable[[RawMessage], Any]] = {
         "diagnostics": lambda raw: list(_missed_ticks(raw.data)) or None,
-        "goal/state": lambda raw: bag.decode(raw) if _REFUSED.encode() in raw.data else None,
+        "goal/state": lambda raw: bag.decode(raw) if any(phase in raw.data for phase in _KEPT_PHASES) else None,
         "intake/controller": lambda raw: _extend(answered, *_answered(raw.data)),
         "plan/statistics": lambda raw: plans.extend(_plans(raw.data)),
     }
@@ -337,7 +341,8 @@ def read_signals(
     effects_ns = np.array([effect_ns for effect_ns, *_ in plans], np.int64)
     missed = [(time, number) for time, numbers_ in received("diagnostics") for number in numbers_]
     missed_table = np.array(missed).reshape(-1, 2)
-    goals, refused_goals = _goals(received("goal_pose"), received("goal/state"), arm.base_frame)
+    states = [(time, {entry.key: entry.value for entry in message.values}) for time, message in received("goal/state")]
+    goals, refused_goals = _goals(received("goal_pose"), states, arm.base_frame)
     return EpisodeSignals(
         clock,
         Series(state_times, joints, state.values[:, :count]),
@@ -350,6 +355,7 @@ def read_signals(
         safety_states,
         goals,
         refused_goals,
+        np.array([time for time, values in states if values.get(GOAL_PHASE) == _SETTLED]),
         Series(missed_table[:, 0], ("missed ticks",), missed_table[:, 1:]),
         Series((effects_ns - clock.origin_ns) / NANOSECONDS, tuple(keys), plan_table),
         tuple(reason for _, reason, *_ in plans),
@@ -521,7 +527,7 @@ def _oddities(columns: Mapping[str, Column], commands: Mapping[str, Column]) -> 
 
 
 def _goals(
-    goals: Sequence[tuple[float, Any]], states: Sequence[tuple[float, Any]], base_frame: str
+    goals: Sequence[tuple[float, Any]], states: Sequence[tuple[float, Mapping[str, str]]], base_frame: str
 ) -> Iterator[Series]:
     """Yield the goals that were not refused, and the others; those in other frames come again, transformed."""
     goals = [(time, message) for time, message in goals if message.header.frame_id in ("", base_frame)]
@@ -529,8 +535,7 @@ def _goals(
     stamps_ns = np.array([str(nanoseconds(message.header.stamp)) for _, message in goals])
     positions = np.array([(place.x, place.y, place.z) for place in places]).reshape(-1, 3)
     kept = np.isfinite(positions).all(axis=1)
-    for time, message in states:
-        values = {entry.key: entry.value for entry in message.values}
+    for time, values in states:
         sent = np.flatnonzero(stamps_ns == values.get(GOAL_STAMP, ""))
         if values.get(GOAL_PHASE) == _REFUSED and len(sent):
             # Stamps may be zero.

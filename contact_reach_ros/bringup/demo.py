@@ -37,7 +37,7 @@ _DYING_S = 0.5
 _TIMEOUT_S = 60.0
 """Time of the robot's clock in which the goal must be reached, s."""
 _SETTLE_S = 1.2
-"""Time of the robot's clock that is recorded after the goal was reached, s."""
+"""Time of the robot's clock that is recorded after the arm has settled, s."""
 _MISSED_SHARE = 0.02
 """More missed ticks than a robot's driver ever has: the machine does not simulate the arm in real time."""
 
@@ -144,7 +144,7 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
         if client.stops or state.phase.is_over:
             # When a dying process is the reason, it is named rather than what followed.
             stack.watch(_DYING_S)
-        if state.phase in (GoalPhase.REACHED, GoalPhase.SETTLED):
+        if state.phase is GoalPhase.SETTLED:
             end_ns = min(end_ns, stack.stamp_ns + round(_SETTLE_S * NANOSECONDS))
         is_over = bool(client.stops) or state.phase.is_over or stack.stamp_ns > end_ns
         if is_over or sys.stdout.isatty() or now - said_at >= _LINE_S:

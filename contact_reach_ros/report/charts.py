@@ -12,7 +12,7 @@ from contact_reach_ros.arm import Array
 from contact_reach_ros.bags.signals import Series
 from contact_reach_ros.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
 from contact_reach_ros.report.bag import ReportBag
-from contact_reach_ros.report.episode import SUCCESS_DISTANCE
+from contact_reach_ros.world.goal import TOLERANCE
 
 Chart = dict[str, Any]
 """`data` and `layout` of a plotly figure; empty data if the bag lacks the quantity.
@@ -37,7 +37,7 @@ def distance_chart(bag: ReportBag) -> Chart:
     distance = bag.episode.distance
     data = [
         curve(distance.time - bag.zero, distance.column("distance"), "distance", BLUE, "m", width=1.8),
-        _level(bag, SUCCESS_DISTANCE, f"reached, {SUCCESS_DISTANCE:g} m", GREEN),
+        _level(bag, TOLERANCE, f"tolerance, {TOLERANCE:g} m", GREEN),
     ]
     return _chart(bag, data, "distance to the goal [m]", type="log", dtick=1, exponentformat="none")
 
@@ -226,7 +226,7 @@ def _mark_events(bag: ReportBag, data: list[Trace], layout: dict[str, Any]) -> N
     """Mark the goal, its end and the safety events on the time axis: lines, and points with their texts."""
     marks = [(0.0, BLUE, "goal sent")] if bag.episode is not None and bag.episode.has_goal else []
     if bag.episode is not None and np.isfinite(bag.episode.reached):
-        marks.append((bag.episode.reached - bag.zero, GREEN, "goal reached"))
+        marks.append((bag.episode.reached - bag.zero, GREEN, "settled at the goal"))
     for event in bag.signals.safety:
         words = f"{event.name}: {event.message}"
         marks.append((event.time - bag.zero, _EVENT_COLOURS.get(event.level, GREY), words))

@@ -1,4 +1,4 @@
-"""The episode of a recording: one goal, until it is reached, the arm is stopped or the recording ends."""
+"""The episode of a recording: one goal, until the arm has settled, is stopped, or the recording ends."""
 
 from __future__ import annotations
 
@@ -7,9 +7,6 @@ import numpy as np
 from contact_reach_ros.arm import Arm, tip_positions
 from contact_reach_ros.bags.signals import EpisodeSignals, goal_distance
 from contact_reach_ros.errors import BagError
-
-SUCCESS_DISTANCE = 0.01
-"""The paper's delta, m: the goal is reached within it."""
 
 
 class Episode:
@@ -35,7 +32,7 @@ class Episode:
     has_goal
         Whether there is a goal.
     reached
-        When the goal was reached, on the same clock; NaN if it was not.
+        When the arm had settled at the goal, as the planner reported; on the same clock, NaN if it did not.
     way
         Distance from start to goal, m; NaN without a goal.
     distance
@@ -57,9 +54,8 @@ class Episode:
         self.has_goal = bool(len(self.distance.time))
         self.start = float(signals.goals.time[0]) if self.has_goal else 0.0
         last = min(float(position.time[-1]), end, self.start + timeout)
-        tried = self.distance.between(self.start, last)
-        near = tried.time[tried.values[:, 0] <= SUCCESS_DISTANCE]
-        self.reached = float(near[0]) if len(near) else float("nan")
+        settled = signals.settled[(signals.settled >= self.start) & (signals.settled <= last)]
+        self.reached = float(settled[0]) if self.has_goal and len(settled) else float("nan")
         self.end = float(np.fmin(last, self.reached + settle))
         self.way = float("nan")
         if self.has_goal:

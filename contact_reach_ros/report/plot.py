@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
 from contact_reach_ros.report.bag import ReportBag
-from contact_reach_ros.report.episode import SUCCESS_DISTANCE
+from contact_reach_ros.world.goal import TOLERANCE
 
 _AFTER = 0.2
 """Shown after the end of the episode, s."""
@@ -48,8 +48,8 @@ def _draw_distance(panel: Axes, bag: ReportBag) -> None:
     if bag.episode is not None:
         distance = bag.episode.distance
         panel.plot(distance.time - bag.zero, distance.column("distance"), color=BLUE, linewidth=1.8, label="distance")
-    label = f"success, {SUCCESS_DISTANCE:g} m"
-    panel.axhline(SUCCESS_DISTANCE, color=GREY, linewidth=1.0, linestyle="--", label=label)
+    label = f"tolerance, {TOLERANCE:g} m"
+    panel.axhline(TOLERANCE, color=GREY, linewidth=1.0, linestyle="--", label=label)
     panel.set_ylabel("distance to goal [m]")
     panel.set_yscale("log")
 
@@ -83,7 +83,7 @@ def _draw_moments(panel: Axes, bag: ReportBag, with_labels: bool) -> None:
         return
     moments = [("goal sent", 0.0, BLUE)] if bag.episode.has_goal else []
     if np.isfinite(bag.episode.reached):
-        moments.append(("reached", bag.episode.reached - bag.zero, GREEN))
+        moments.append(("settled", bag.episode.reached - bag.zero, GREEN))
     stops = [event for event in bag.signals.safety if event.is_stop and event.time < bag.episode.end]
     moments += [(f"{stop.name} stop", stop.time - bag.zero, VERMILION) for stop in stops]
     for label, time, colour in moments:

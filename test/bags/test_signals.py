@@ -85,6 +85,8 @@ def write_episode(directory: Path) -> None:
                 phase = GoalPhase.REFUSED if tick == 200 else GoalPhase.ACCEPTED
                 # All goals have the stamp 0.
                 write("goal/state", time, to_goal_state(GoalState(phase), 0, "planner", ARM))
+            if tick == 350:
+                write("goal/state", time, to_goal_state(GoalState(GoalPhase.SETTLED), 0, "planner", ARM))
             if tick % 100 == 0:
                 values = [KeyValue(key="ticks", value=str(tick)), KeyValue(key="state", value="active")]
                 write("diagnostics", time, DiagnosticArray(status=[DiagnosticStatus(name="driver", values=values)]))
@@ -125,6 +127,7 @@ def test_goals_are_where_they_were_sent_without_those_that_were_refused(signals:
     assert signals.goals.time == pytest.approx([0.05, 0.3], abs=1e-7)
     np.testing.assert_array_equal(signals.goals.values, [[0.5, 0.0, 0.0], [0.7, 0.0, 0.0]])
     np.testing.assert_array_equal(signals.refused_goals.values, [[2.0, 0.0, 0.0]])
+    assert signals.settled == pytest.approx([0.35], abs=1e-7)
 
 
 def test_safety_changes_without_repetitions(signals: EpisodeSignals) -> None:

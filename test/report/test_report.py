@@ -92,6 +92,12 @@ def test_an_episode_ends_where_it_is_decided_however_long_the_recording(
     assert episode.end == pytest.approx(episode.reached + 0.2 if found.good else episode.start + timeout)
 
 
+def test_an_arm_that_was_at_the_goal_and_has_not_settled_did_not_reach_it(signals: EpisodeSignals) -> None:
+    found = report_of(dataclasses.replace(signals, settled=np.zeros(0)))
+    assert found.verdict == "goal not reached" and found.episode is not None
+    assert found.episode.distance.values.min() < 0.01 and np.isnan(metrics(found)["time to the goal"][0])
+
+
 def test_a_stop_is_the_verdict(signals: EpisodeSignals) -> None:
     stop = SafetyEvent(signals.goals.time[0] + 0.5, 2, "observer", "too much torque", True)
     found = report_of(dataclasses.replace(signals, safety=(stop,)))
