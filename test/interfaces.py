@@ -128,7 +128,11 @@ INTERFACES = {
     "bringup": _node(
         [],
         [topics.JOINT_STATES, topics.ROBOT_DESCRIPTION],
-        calls=[*(f"{name}/get_state" for name in MANAGED), "controller/stop"],
+        calls=[
+            *(f"{name}/get_state" for name in MANAGED),
+            *(f"{name}/change_state" for name in ("driver", "controller", "observer")),
+            "controller/stop",
+        ],
     ),
     DOCTOR: replace(_DOCTOR, subscribes=_DOCTOR.subscribes | _OF_KUKA),
     OPERATOR: _node(

@@ -44,7 +44,7 @@ class Process:
     parameters
         Given on its command line, after the parameter file.
     early
-        Whether it is active before the loops: it needs the whole machine to get ready, or must miss nothing.
+        Whether it starts, and is active, before the loops: it takes long to get ready, or must miss nothing.
     essential
         Whether its end is the end of the stack.
     lasts

@@ -28,7 +28,8 @@ from contact_reach_ros.ros.process import in_namespace
 from contact_reach_ros.ros.scheduling import prioritise_middleware
 from contact_reach_ros.settings import AUTOSTART, as_arguments
 
-_UNCONFIGURED, _ACTIVE = "unconfigured", "active"
+_UP, _ACTIVE = "up", "active"
+"""A node that is in the graph, and one that is in this state of its lifecycle."""
 _BRAKED = "braked"
 """Safety state of the simulated driver while its brakes are closed."""
 _STARTUP_S = 240.0
@@ -139,38 +140,45 @@ class StackProcesses:
         """
         prioritise_middleware()
         deadline = time.monotonic() + _STARTUP_S
-        loops = [process.name for process in self._table if not process.early]
-        for process in self._table:
+        first, loops = ([each for each in self._table if each.early is early] for early in (True, False))
+        for process in first:
             self._start(process)
-        self._wait_for_state(_ACTIVE, [name for name in self._names if name not in loops], deadline, progress)
-        # Once more: discovery has settled while the processes got ready.
+        self._await(_UP, first, deadline, progress)
+        # Once more: discovery has settled while the first processes came up.
         refuse_beside_another(self.client.node, self._names, self._running, patience=0.0)
-        self._wait_for_state(_UNCONFIGURED, loops, deadline, progress)
-        for name in loops:
-            self._activate(name)
-        self._wait_for_state(_ACTIVE, loops, deadline, progress)
-        self._optional |= {process.name for process in self._table if not process.essential}
-
-    def _activate(self, name: str) -> None:
-        """Take a node that waits for it to the state active."""
+        for process in loops:
+            self._start(process)
+        self._await(_ACTIVE, first, deadline, progress)
+        self._optional |= {process.name for process in first if not process.essential}
+        self._await(_UP, loops, deadline, progress)
         for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-            self.check()
-            request = ChangeState.Request(transition=Transition(id=transition))
-            if not self.client.call(f"{name}/change_state", ChangeState, request, _READY_S, _READY_S).success:
-                raise StackError(f"{name} does not get active{self._see_log()}")
+            self._change_state(transition, loops, deadline)
 
-    def _wait_for_state(
-        self, wanted: str, names: Sequence[str], deadline: float, progress: Callable[[str], None]
+    def _await(
+        self, wanted: str, processes: Sequence[Process], deadline: float, progress: Callable[[str], None]
     ) -> None:
-        missing = dict.fromkeys(names, "not asked yet")
+        state_of = self._presence_of if wanted == _UP else self._state_of
+        missing = dict.fromkeys((process.name for process in processes), "not asked yet")
         while missing:
             if time.monotonic() > deadline:
                 named = ", ".join(f"{name} ({state})" for name, state in missing.items())
                 raise StackError(f"not {wanted} after {_STARTUP_S:.0f} s: {named}{self._see_log()}")
             progress("waiting for " + ", ".join(missing))
-            missing |= {name: self._state_of(name) for name in missing}
+            missing |= {name: state_of(name) for name in missing}
             missing = {name: state for name, state in missing.items() if state != wanted}
             self.watch(_POLL_S)
+
+    def _change_state(self, transition: int, processes: Sequence[Process], deadline: float) -> None:
+        """Take nodes through a transition of their lifecycle, all at once."""
+        request = ChangeState.Request(transition=Transition(id=transition))
+        answers = {each.name: self.client.ask(f"{each.name}/change_state", ChangeState, request) for each in processes}
+        while missing := [name for name, answer in answers.items() if not answer.done()]:
+            if time.monotonic() > deadline:
+                raise StackError(f"not active after {_STARTUP_S:.0f} s: {', '.join(missing)}{self._see_log()}")
+            self.watch(_POLL_S)
+        for name, answer in answers.items():
+            if not answer.result().success:
+                raise StackError(f"{name} does not get active{self._see_log()}")
 
     @property
     def ids(self) -> dict[str, int]:
@@ -268,6 +276,11 @@ class StackProcesses:
     def _see_log(self) -> str:
         """Where the output of the processes is, to be appended to a message."""
         return f"; its output is in {self._log_path}" if self._log_path else ""
+
+    def _presence_of(self, name: str) -> str:
+        node = self.client.node
+        is_up = (name, node.get_namespace()) in node.get_node_names_and_namespaces()
+        return _UP if is_up else "not in the graph"
 
     def _state_of(self, name: str) -> str:
         """Lifecycle state of a node, or why it is unknown."""

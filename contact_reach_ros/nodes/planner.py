@@ -167,13 +167,15 @@ class PlannerNode(ManagedNode):
     def _make_plan(self, request: Request) -> None:
         began_ns, now_ns = time.monotonic_ns(), self.now_ns
         memory = self._core.memory
-        plan = self._planner.solve(request)
-        self._output.publish(plan)
+        try:
+            plan = self._planner.solve(request)
+            self._output.publish(plan)
+        finally:
+            # Simulated time stands still while a plan is made.
+            passed_ns = self.now_ns - now_ns
+            self._planner.took(passed_ns)
         took_ns = time.monotonic_ns() - began_ns
         self._solve_times.add(took_ns)
-        # Simulated time stands still while a plan is made.
-        passed_ns = self.now_ns - now_ns
-        self._planner.took(passed_ns)
         self._late += passed_ns > request.effect_ns - request.state_ns
         self._output.show(plan)
         found = self._core.memory

@@ -7,8 +7,8 @@ on it minimise the distance of the joints from a posture a little ahead, in plac
 
 Postures that differ by whole turns of joints are one: the arm goes to the nearest of them within the limits. An arm
 without free dimensions, such as one with six joints and a pose as its goal, has few postures at the goal, and law (1)
-does not lead it through singularities. It tries each posture once to which there is a way past none, goes for the goal
-from where it got, and gives the goal up when none is left.
+does not lead it through singularities. It tries each posture once to which a way leads that passes none, goes for the
+goal from where it got, and gives the goal up when none is left.
 """
 
 from __future__ import annotations
@@ -55,9 +55,11 @@ _OTHER = 0.3
 _CANDIDATES = 24
 """Postures to which straight ways are looked at, the nearest ones; a search takes as many others besides."""
 
-_SHARES, _ITERATIONS, _PATHS, _SHORTCUTS = (0.0, 0.8), 100, 2, 40
-"""Of ε, how much a path may press, each tried if there is none with the one before; and how long paths are sought: the
-arm waits meanwhile."""
+_SHARES = 0.0, 0.8
+"""How much a path may press, in shares of ε, each tried if no path is found with the one before."""
+_ITERATIONS, _PATHS, _SHORTCUTS = 100, 2, 40
+"""Iterations in all to find this many paths, the shortest of which is taken, and attempts to shorten each. The arm
+waits meanwhile."""
 
 _SLACK = 0.5
 """By how much a way may press harder than the arm does where it begins, N."""
@@ -138,7 +140,7 @@ class Detours:
             return request
         seen = request if settings.orientation_weight else request._replace(goal=Target(request.goal.position))
         if last is None or last.detour is None or not request.goal.is_near(last.goal):
-            if len(request.spheres):
+            if len(request.spheres) and not request.goal.moves:
                 self._permitted(self._statics(seen), seen.goal, np.zeros((0, self.arm.n)), 0)
             return request._replace(detour=Detour(request.q, 0.0, 0, False, request.q[None], request.q[None]))
         # Without a plan in force the arm cannot make progress.
@@ -173,9 +175,9 @@ class Detours:
             if has_few and not len(request.spheres):
                 raise UnreachableError(
                     f"no progress {offset:.3f} m and {angle:.2f} rad from the goal at "
-                    f"{np.round(request.goal.position, 3).tolist()} m, and no posture at the goal is left to try after "
-                    f"{len(detour.postures) - 1}: joint limits, singularities, or the arm itself are in the way; give "
-                    "another orientation, leave it free, or give a goal on the way first"
+                    f"{np.round(request.goal.position, 3).tolist()} m, and no posture at the goal to which a way was "
+                    f"found is left to try after {len(detour.postures) - 1}: joint limits, singularities, or the arm "
+                    "itself are in the way; give another orientation, leave it free, or give a goal on the way first"
                 )
             return detour._replace(nearest=q, waited=0.0, number=detour.number + 1, is_on=False)
         earlier = detour.postures if has_few else detour.postures[:0]
@@ -273,7 +275,18 @@ def _postures(arm: Arm, q: Array, goal: Target, number: int) -> Iterator[Array]:
         found = solve_ik(arm, goal.position, goal.rotation, seeds, margin, goal.only_axis)
         found = _turned(found, q, arm.lower + margin, arm.upper - margin)
         if len(found):
-            yield found[np.argsort(np.linalg.norm(found - q, axis=1), kind="stable")]
+            found = found[np.argsort(np.linalg.norm(found - q, axis=1), kind="stable")]
+            # Few postures are found many times.
+            yield _distinct(arm, found) if is_bound(arm, goal) else found
+
+
+def _distinct(arm: Arm, postures: Array) -> Array:
+    """The postures (N, n) without those that are like an earlier one, rad."""
+    kept = postures[:0]
+    for posture in postures:
+        if _differ(arm, posture, kept):
+            kept = np.concatenate([kept, posture[None]])
+    return kept
 
 
 def _differ(arm: Arm, posture: Array, others: Array) -> bool:

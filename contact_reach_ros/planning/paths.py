@@ -23,7 +23,8 @@ from contact_reach_ros.world.spheres import Spheres
 _RESOLUTION = 0.02
 """Largest motion of a point of the arm between two postures that are looked at, m."""
 _STEP, _LEAST_STEP = 1.0, 0.05
-"""Largest step towards a sample, and smallest one that is one, rad; towards the other tree the arm goes all the way."""
+"""Largest step towards a sample, and the smallest that counts as a step, rad; towards the other tree the arm goes all
+the way."""
 _CHUNK = 32
 """Postures on a motion that are looked at together."""
 
@@ -156,7 +157,7 @@ def connect(
     """Postures (P, n) of a path from the start to one of the goals (G, n) on which no link presses harder than a limit.
 
     It keeps a margin from the joints' limits, rad, or as much as start and goals do. None if none is found in these
-    iterations; besides, how many it took.
+    iterations. Also returns how many it took.
     """
     arm, start = statics.arm, statics.start
     lower = np.minimum(np.array(arm.lower) + margin, start)

@@ -167,6 +167,8 @@ class Planner:
         self._model = RobotModel(arm)
         self.settings = settings
         self._took_ns = deque([settings.latency_ns], _RECENT)
+        self._busy_ns = 0
+        """Time for which no state was taken since the last one, ns."""
         self._refuse = refuse
         self._stream = GoalStream()
         self._progress: GoalProgress | None = None
@@ -290,7 +292,9 @@ class Planner:
         stamp_ns, q, v, _ = state
         if not np.isfinite(q.sum() + v.sum()):
             raise InputError(f"joint_states: position and velocity must be finite, got {q.tolist()}, {v.tolist()}")
-        gap = 0.0 if self.state is None else (stamp_ns - self.state.stamp_ns) / NANOSECONDS
+        # States that came while a plan was made, such as a search for a way, were not waited for.
+        known_ns = stamp_ns if self.state is None else self.state.stamp_ns + self._busy_ns
+        gap, self._busy_ns = (stamp_ns - known_ns) / NANOSECONDS, 0
         self.state = state
         self.obstacles.advance(stamp_ns)
         if self.goal is not None and gap > self.settings.goal_timeout:
@@ -345,6 +349,7 @@ class Planner:
     def took(self, duration_ns: int) -> None:
         """Take the time from a plan's request to its publication, ns: later ones take effect no earlier than that."""
         self._took_ns.append(duration_ns)
+        self._busy_ns = duration_ns
 
     @property
     def _latency_ns(self) -> int:

@@ -183,7 +183,7 @@ class RecedingHorizonPlanner:
         PlanningError
             If even the best motion would bring the arm into a rigid body or into itself.
         UnreachableError
-            If the arm makes no progress and no detour is left, see `Detours.target`.
+            If every posture at a new goal presses too hard, or no detour is left, see `Detours.target`.
         """
         begin = time.perf_counter()
         q, v = self._joints("q", request.q), self._joints("v", request.v)

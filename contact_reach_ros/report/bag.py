@@ -222,7 +222,7 @@ def read_report_bag(path: Path, label: str, timeout: float = np.inf, settle: flo
         episode = Episode(signals, arm, end, timeout, settle)
     except BagError as error:
         notes.append(f"no verdict: {error}")
-    verdict, good = _verdict(signals, episode, end)
+    verdict, good = _verdict(signals, episode, end, is_known="/goal/state" in reader.topics)
     return ReportBag(
         label=label,
         arm=arm,
@@ -346,10 +346,12 @@ def as_json(bag: ReportBag) -> dict[str, Any]:
     }
 
 
-def _verdict(signals: EpisodeSignals, episode: Episode | None, end: float) -> tuple[str, bool]:
+def _verdict(signals: EpisodeSignals, episode: Episode | None, end: float, is_known: bool) -> tuple[str, bool]:
     stop = next((event for event in signals.safety if event.is_stop and event.time < end), None)
     if stop is not None:
         return f"stopped by the {stop.name}: {stop.message}", False
     if episode is None or not episode.has_goal:
         return "no goal in the bag", False
+    if not is_known:
+        return "unknown: the bag lacks goal/state", False
     return ("goal not reached", False) if np.isnan(episode.reached) else ("goal reached", True)

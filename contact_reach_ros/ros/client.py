@@ -15,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
@@ -48,7 +49,7 @@ _SETTLED_S = 1.0
 _FOLLOWED_S = 8.0
 """Longest time until diagnostics, which come once a second, show that the controller follows a goal's plans."""
 _COMPILED_S = 120.0
-"""For a planner that has just been started, which compiles, and for the nodes that bring-up starts then."""
+"""For a planner that has just been started, which compiles, and for the nodes that bring-up activates then."""
 _CHECKED_S = 20.0
 """For a controller that waits for its observer, and an adapter that checks its drive."""
 _SILENCE_S = 5.0
@@ -127,16 +128,20 @@ class Client:
 
         Raises `ContactReachError` if no node offers it within `patience`, s, or it does not answer within `timeout`, s.
         """
+        future = self.ask(service, kind, request, patience)
+        if not self.until(future.done, timeout):
+            self._clients[service].remove_pending_request(future)
+            raise ContactReachError(f"{service}: no answer within {timeout:g} s")
+        return future.result()
+
+    def ask(self, service: str, kind: Any, request: Any, patience: float = _ANSWER_S) -> Future:
+        """Call a service without waiting for its answer; raises `ContactReachError` if none offers it within some s."""
         if service not in self._clients:
             self._clients[service] = self.node.create_client(kind, service)
         client = self._clients[service]
         if not self.until(client.service_is_ready, patience):
             raise ContactReachError(f"{service}: there is no such service")
-        future = client.call_async(request)
-        if not self.until(future.done, timeout):
-            client.remove_pending_request(future)
-            raise ContactReachError(f"{service}: no answer within {timeout:g} s")
-        return future.result()
+        return client.call_async(request)
 
     def change(self, node: str, values: Mapping[str, Any]) -> Outcome:
         """Change parameters of a node, if the node lets them: all or none. Raises as `call`."""
@@ -250,7 +255,7 @@ class StackClient(Client):
             )
 
     def wait_until_ready(self) -> None:
-        """Wait until goals are taken, also where the planner still compiles, before all others start.
+        """Wait until goals are taken, also where the planner still compiles, before the loops are active.
 
         Raises as `wait_for`.
         """

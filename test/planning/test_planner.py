@@ -200,6 +200,13 @@ class TestGoals:
         if phase is GoalPhase.WITHDRAWN:
             assert planner.goal_state.reason.startswith("no joint state came for 2.0 s, more than goal_timeout")
 
+    def test_a_plan_that_took_long_is_no_gap_in_the_states_and_the_next_gap_is_one(self, planner):
+        planner.took(3_000_000_000)
+        planner.request(state(3100))
+        assert planner.has_goal
+        planner.request(state(6200))
+        assert planner.goal_state.reason.startswith("no joint state came for 3.1 s")
+
     def test_another_one_replaces_it_from_the_next_request_on(self, planner):
         planner.command(OTHER_GOAL)
         (request,) = requests(planner, 1, 30).values()

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -96,6 +97,20 @@ def test_an_arm_that_was_at_the_goal_and_has_not_settled_did_not_reach_it(signal
     found = report_of(dataclasses.replace(signals, settled=np.zeros(0)))
     assert found.verdict == "goal not reached" and found.episode is not None
     assert found.episode.distance.values.min() < 0.01 and np.isnan(metrics(found)["time to the goal"][0])
+
+
+def test_without_the_planners_word_nobody_knows_whether_a_goal_was_reached(
+    signals: EpisodeSignals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(*arguments: Any, **options: Any) -> BagReader:
+        reader = BagReader(*arguments, **options)
+        reader.topics = {name: topic for name, topic in reader.topics.items() if name != "/goal/state"}
+        return reader
+
+    monkeypatch.setattr(report_bag, "BagReader", opened)
+    found = report_of(dataclasses.replace(signals, settled=np.zeros(0)))
+    assert found.verdict == "unknown: the bag lacks goal/state" and not found.good
+    assert "topic goal/state is missing: no verdict: whether the arm has settled at the goal" in found.notes
 
 
 def test_a_stop_is_the_verdict(signals: EpisodeSignals) -> None:

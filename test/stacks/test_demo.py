@@ -136,10 +136,10 @@ def test_the_bag_tells_what_happened_to_the_goal(ball):
     read = [read_goal_state(message) for message in reader.messages("/goal/state")]
     (sent,) = (nanoseconds(goal.header.stamp) for goal in reader.messages("/goal_pose"))
     phases = list(dict.fromkeys(state.phase for _, state in read))
-    assert phases[:3] == [GoalPhase.ACCEPTED, GoalPhase.RUNNING, GoalPhase.REACHED]
+    assert phases[:4] == [GoalPhase.ACCEPTED, GoalPhase.RUNNING, GoalPhase.REACHED, GoalPhase.SETTLED]
     assert {stamp for stamp, _ in read} == {sent}
-    reached = next(state for _, state in read if state.phase is GoalPhase.REACHED)
-    assert reached.distance <= 0.01 and reached.elapsed == pytest.approx(
+    settled = next(state for _, state in read if state.phase is GoalPhase.SETTLED)
+    assert settled.distance <= 0.01 and settled.elapsed == pytest.approx(
         report["metrics"]["time to the goal"]["value"], abs=0.02
     )
 
