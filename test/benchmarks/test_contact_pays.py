@@ -50,8 +50,8 @@ def test_the_planner_settles_at_a_fruit_where_reference_posture_does_not():
 
 def test_the_planner_gets_through_the_slalom_of_the_authors_without_their_via_point():
     scene = cr.load_scene("slalom")
-    ours = run("contact_reach", scene, scene.goal, 60.0, until_settled=True)
-    assert ours.settled and ours.max_contact_force <= cr.ContactBudget().permitted_force
+    ours = run("contact_reach", scene, scene.goal, 60.0, until_settled=False)
+    assert ours.reached and ours.max_contact_force <= cr.ContactBudget().permitted_force
 
 
 def test_the_planner_settles_in_random_clutter_that_only_contact_leads_through():
