@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from lifecycle_msgs.msg import Transition
@@ -29,7 +29,7 @@ from contact_reach_ros.ros.scheduling import prioritise_middleware
 from contact_reach_ros.settings import AUTOSTART, as_arguments
 
 _UP, _ACTIVE = "up", "active"
-"""A node that is in the graph, and one that is in this state of its lifecycle."""
+"""A node that offers its lifecycle, and one that is in this state of it."""
 _BRAKED = "braked"
 """Safety state of the simulated driver while its brakes are closed."""
 _STARTUP_S = 240.0
@@ -143,21 +143,25 @@ class StackProcesses:
         first, loops = ([each for each in self._table if each.early is early] for early in (True, False))
         for process in first:
             self._start(process)
-        self._await(_UP, first, deadline, progress)
+        self._await(_UP, self._is_offered("get_state", GetState), first, deadline, progress)
         # Once more: discovery has settled while the first processes came up.
         refuse_beside_another(self.client.node, self._names, self._running, patience=0.0)
         for process in loops:
             self._start(process)
-        self._await(_ACTIVE, first, deadline, progress)
+        self._await(_ACTIVE, self._state_of, first, deadline, progress)
         self._optional |= {process.name for process in first if not process.essential}
-        self._await(_UP, loops, deadline, progress)
+        self._await(_UP, self._is_offered("change_state", ChangeState), loops, deadline, progress)
         for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
             self._change_state(transition, loops, deadline)
 
     def _await(
-        self, wanted: str, processes: Sequence[Process], deadline: float, progress: Callable[[str], None]
+        self,
+        wanted: str,
+        state_of: Callable[[str], str],
+        processes: Sequence[Process],
+        deadline: float,
+        progress: Callable[[str], None],
     ) -> None:
-        state_of = self._presence_of if wanted == _UP else self._state_of
         missing = dict.fromkeys((process.name for process in processes), "not asked yet")
         while missing:
             if time.monotonic() > deadline:
@@ -237,6 +241,7 @@ class StackProcesses:
             *("--ros-args", "--enclave", process.enclave, "--params-file", str(self.parameter_file)),
             *in_namespace(self.client.node.get_namespace()),
             *self._passed_on,
+            # The loops are activated when all else is ready.
             *as_arguments({**process.parameters, **({} if process.early else {AUTOSTART.name: False})}),
         ]
         self._running[process.name] = subprocess.Popen(
@@ -277,10 +282,9 @@ class StackProcesses:
         """Where the output of the processes is, to be appended to a message."""
         return f"; its output is in {self._log_path}" if self._log_path else ""
 
-    def _presence_of(self, name: str) -> str:
-        node = self.client.node
-        is_up = (name, node.get_namespace()) in node.get_node_names_and_namespaces()
-        return _UP if is_up else "not in the graph"
+    def _is_offered(self, service: str, kind: Any) -> Callable[[str], str]:
+        """Returns the state of a node: up as soon as it offers a service of its lifecycle."""
+        return lambda name: _UP if self.client.offers(f"{name}/{service}", kind) else "not up yet"
 
     def _state_of(self, name: str) -> str:
         """Lifecycle state of a node, or why it is unknown."""

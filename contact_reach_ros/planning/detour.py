@@ -47,7 +47,10 @@ _SEEDS_NEAR, _SEEDS_ANYWHERE, _SPREAD = 64, 192, 0.5
 
 _MARGINS, _PARTS = (0.2, 0.05, 0.02), 6
 """Distances from the joints' limits, rad, each for goals that no permitted posture reaches with the one before; and how
-many more such searches there are with the last one before a goal is given up."""
+many more such searches there are with the last one."""
+
+_CHECKED, _PARTS_CHECKED = 2048, 8
+"""Postures from which others at a goal are sought before it is refused, and in how many parts."""
 
 _OTHER = 0.3
 """By as much at least does a joint of the posture differ from what it is, and from that of the last detour, rad."""
@@ -141,7 +144,7 @@ class Detours:
         seen = request if settings.orientation_weight else request._replace(goal=Target(request.goal.position))
         if last is None or last.detour is None or not request.goal.is_near(last.goal):
             if len(request.spheres) and not request.goal.moves:
-                self._permitted(self._statics(seen), seen.goal, np.zeros((0, self.arm.n)), 0)
+                self._check_force(self._statics(seen), seen.goal)
             return request._replace(detour=Detour(request.q, 0.0, 0, False, request.q[None], request.q[None]))
         # Without a plan in force the arm cannot make progress.
         elapsed = min((request.effect_ns - last.effect_ns) * 1e-9, settings.horizon * settings.knot_duration)
@@ -192,33 +195,34 @@ class Detours:
 
         None if there is none without rigid bodies or a singularity in the way, and without more force than permitted.
         """
-        statics, known = self._statics(request), detour.known(request.q, is_bound(self.arm, request.goal))
-        postures = self._permitted(statics, request.goal, known, detour.number)
-        if not len(postures):
-            return None
-        way = self._straight(statics, postures)
-        return self._search(statics, postures, detour.number) if way is None else way
-
-    def _permitted(self, statics: Statics, goal: Target, known: Array, number: int) -> Array:
-        """Permitted postures (N, n) at a goal that are not known, the nearest first: some, not all.
-
-        Raises `UnreachableError` if every posture at the goal, known or not, presses harder than permitted.
-        """
-        least, count = np.inf, 0
-        for postures in _postures(self.arm, statics.start, goal, number):
-            least = min(least, statics.forces(postures, of_spheres=True).min())
-            count += len(postures)
+        statics, goal = self._statics(request), request.goal
+        known = detour.known(request.q, is_bound(self.arm, goal))
+        for postures in _postures(self.arm, request.q, goal, detour.number):
             others = postures[[_differ(self.arm, posture, known) for posture in postures]]
             if len(permitted := others[statics.permitted(others, self.permitted_force)]):
-                return permitted
-        if count and least > self.permitted_force:
+                way = self._straight(statics, permitted)
+                return self._search(statics, permitted, detour.number) if way is None else way
+        self._check_force(statics, goal)
+        return None
+
+    def _check_force(self, statics: Statics, goal: Target) -> None:
+        """Raise `UnreachableError` if there are postures at a goal, and each presses harder than permitted."""
+        arm, random, least, count = self.arm, np.random.default_rng(0), np.inf, 0
+        anywhere = random.uniform(arm.lower, arm.upper, (_CHECKED, arm.n))
+        # A plan waits for this: one posture takes 5 ms, a part 60. At most goals the first one is permitted.
+        for number, part in enumerate([anywhere[:_SEEDS_NEAR], *np.split(anywhere, _PARTS_CHECKED)]):
+            found = solve_ik(arm, goal.position, goal.rotation, part, _MARGINS[-1], goal.only_axis, first=not number)
+            least = statics.forces(found, of_spheres=True).min(initial=least)
+            if least <= self.permitted_force:
+                return
+            count += len(found) * (number > 0)
+        if count:
             raise UnreachableError(
                 f"cannot be reached within the contact budget: each of {count} postures at the goal at "
                 f"{np.round(goal.position, 3).tolist()} m presses with {least:.1f} N or more, permitted "
                 f"{self.permitted_force:g} N; move what is in the way, give another position or orientation, or leave "
                 "the orientation free"
             )
-        return known[:0]
 
     def _straight(self, statics: Statics, postures: Array) -> Array | None:
         """The straight way to one of the postures (N, n) that costs least: 1 for each radian, and for each ε on it."""

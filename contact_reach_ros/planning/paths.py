@@ -83,6 +83,8 @@ class Statics:
 
     def free(self, postures: Array) -> NDArray[np.bool_]:
         """(N,) whether postures (N, n) meet no rigid body, and no singularity on the way."""
+        if not len(postures):
+            return np.zeros(0, bool)
         pairs = nearest(self.arm, postures, self._spheres.environment)
         apart = np.array([pair.distance for pair in pairs]) if pairs else np.full(len(postures), np.inf)
         found: NDArray[np.bool_] = (apart >= self._clearance) & (self._sides(postures) == self._side)
@@ -90,8 +92,6 @@ class Statics:
 
     def permitted(self, postures: Array, limit: float) -> NDArray[np.bool_]:
         """(N,) whether postures (N, n) are `free`, and no link presses harder than a limit, N."""
-        if not len(postures):
-            return np.zeros(0, bool)
         permitted: NDArray[np.bool_] = self.free(postures) & (self.forces(postures) <= limit)
         return permitted
 
@@ -102,8 +102,8 @@ class Statics:
         for first in range(1, count, _CHUNK):
             ahead = postures[first : first + _CHUNK]
             forces = self.forces(ahead)
-            refused = (forces > limit) | ~self.free(ahead)
-            permitted = int(refused.argmax()) if refused.any() else len(ahead)
+            permitted = _before(forces > limit)
+            permitted = _before(~self.free(ahead[:permitted]))
             most = max(most, forces[:permitted].max(initial=0.0))
             if permitted < len(ahead):
                 return (first + permitted - 1) / (count - 1), float(most)
@@ -116,6 +116,11 @@ class Statics:
             return np.zeros(len(postures))
         _, jacobians = pose_errors(self.arm, goal.position, goal.rotation, postures, goal.only_axis)
         return np.linalg.slogdet(jacobians)[0]
+
+
+def _before(refused: NDArray[np.bool_]) -> int:
+    """How many come before the first that is refused."""
+    return int(refused.argmax()) if refused.any() else len(refused)
 
 
 class _Tree:

@@ -136,12 +136,15 @@ class Client:
 
     def ask(self, service: str, kind: Any, request: Any, patience: float = _ANSWER_S) -> Future:
         """Call a service without waiting for its answer; raises `ContactReachError` if none offers it within some s."""
+        if not self.until(lambda: self.offers(service, kind), patience):
+            raise ContactReachError(f"{service}: there is no such service")
+        return self._clients[service].call_async(request)
+
+    def offers(self, service: str, kind: Any) -> bool:
+        """Whether a service is there."""
         if service not in self._clients:
             self._clients[service] = self.node.create_client(kind, service)
-        client = self._clients[service]
-        if not self.until(client.service_is_ready, patience):
-            raise ContactReachError(f"{service}: there is no such service")
-        return client.call_async(request)
+        return bool(self._clients[service].service_is_ready())
 
     def change(self, node: str, values: Mapping[str, Any]) -> Outcome:
         """Change parameters of a node, if the node lets them: all or none. Raises as `call`."""

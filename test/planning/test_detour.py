@@ -15,7 +15,7 @@ from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import PlanningError, UnreachableError
-from contact_reach_ros.planning.detour import Detours
+from contact_reach_ros.planning.detour import Detour, Detours
 from contact_reach_ros.planning.paths import Statics, length
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.scenes.generate import load_scene
@@ -145,6 +145,35 @@ def test_plans_on_a_detour_lead_to_its_posture(planner):
     assert on.cost_terms["detour"] > 0.0 == on.cost_terms["goal"]
     start, end = (np.linalg.norm(on.predicted_q[knot] - posture) for knot in (0, -1))
     assert end < start - 0.05
+
+
+def test_the_search_on_a_detour_begins_with_the_straight_way_through_joint_space(planner, monkeypatch):
+    space, far = planner._space, HOME + 0.4
+    np.testing.assert_allclose(np.abs(space.towards(HOME, far)).max(), 1.0)
+    near = HOME + np.array([0.004, -0.005, 0.006, 0.004, -0.003, 0.002, 0.005])
+    action = (space.towards(HOME, near) * space.bounds).reshape(SMALL.horizon, -1)[-1]
+    np.testing.assert_allclose(action[:3], link_frames(ARM, near)[1][-1] - ORIGINS[-1], atol=1e-4)
+    np.testing.assert_allclose(action[6:], near - HOME)
+    costs, solve = [], planner._solver.solve
+
+    def look(problem, state, start_cost, *rest):
+        still = np.zeros_like(space.bounds)
+        costs.append((start_cost, planner._costs(problem, np.stack([still, still], axis=1).astype(np.float32))[0]))
+        return solve(problem, state, start_cost, *rest)
+
+    monkeypatch.setattr(planner._solver, "solve", look)
+    planner.reset()
+    planner.plan(Request(HOME, REST, 0, 40 * MS, GOAL, Spheres.none()))
+    detour = Detour(HOME, 0.0, 1, True, far[None], far[None])
+    planner.memory = planner.memory._replace(
+        trajectories=(planner.memory.trajectories[-1].without_knots(),),
+        best=np.zeros_like(planner.memory.best),
+        request=planner.memory.request._replace(detour=detour),
+    )
+    planner.plan(Request(HOME, REST, 30 * MS, 70 * MS, GOAL, Spheres.none()))
+    planner.reset()
+    started, still = costs[-1]
+    assert started < still - 0.02
 
 
 def test_where_every_plan_would_end_in_a_collision_the_arm_makes_no_progress(planner, monkeypatch):
