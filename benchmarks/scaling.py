@@ -27,13 +27,13 @@ from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
-from contact_reach_ros.planning.solver.solver import Solution
+from contact_reach_ros.planning.solver.solver import CostFunction, Solution
 from contact_reach_ros.planning.terms import Problem
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.rigid import Block
 from contact_reach_ros.world.scene_file import read_scene
-from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_positions
+from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_positions, sphere_capacity
 
 VARIANTS: dict[str, Sequence[Any]] = {
     "population": (50, 200, 500, 1000, 2000),
@@ -49,15 +49,27 @@ _BOXES, _POSTURES = 20, 13
 _STEPS, _REPEATS = 20, 5
 
 
-class _TimedSolver(HybridSolver):
-    """Solves each problem several times; a step's CPU time is the least mean, s."""
+class TimedSolver(HybridSolver):
+    """Solves each problem several times; a step's CPU time is the least mean, s.
+
+    Attributes
+    ----------
+    problem
+        The last one.
+    """
 
     step_s = math.inf
+    problem: Problem
+
+    def __init__(self, cost: CostFunction, size: int, settings: PlanningSettings) -> None:
+        super().__init__(cost, size, settings)
+        self.cost, self.size, self.population = cost, size, settings.population
 
     def solve(
         self, problem: Problem, state: Distribution, start_cost: float, number: int, until: float = math.inf
     ) -> Solution:
-        self.stagnation_steps = self.max_steps + 1
+        """Run Algorithm 1 several times, as `HybridSolver.solve`."""
+        self.stagnation_steps, self.problem = self.max_steps + 1, problem
         for _ in range(_REPEATS):
             began = time.process_time()
             solution = super().solve(problem, state, start_cost, number)
@@ -90,26 +102,51 @@ def bench_scaling(scene: str = "ball", of: Sequence[str] = tuple(VARIANTS), file
 
 def _step(scene_name: str, name: str, value: Any) -> Report:
     """CPU time of a solver step, ms, and until the first plan, s."""
-    file = read_scene(scene_name)
-    scene = make_scene(file, load_arm(value) if name == "arm" else load_arm(), 0)
-    settings = PlanningSettings(deadline=0.0, max_steps=_STEPS)
+    settings = PlanningSettings()
     if name in ("population", "horizon", "backend"):
         settings = dataclasses.replace(settings, **{name: value})
-    found: list[_TimedSolver] = []
+    began = time.process_time()
+    arm = load_arm(value) if name == "arm" else load_arm()
+    planner, request, solver = make_timed(scene_name, arm, settings, value if name == "spheres" else 1)
+    planner.plan(request)
+    ready_s = time.process_time() - began - _REPEATS * _STEPS * solver.step_s
+    planner.plan(request)
+    return {"step_ms": 1e3 * solver.step_s, "ready_s": ready_s}
 
-    def make(*arguments: Any) -> _TimedSolver:
-        found.append(_TimedSolver(*arguments))
+
+def make_timed(
+    scene_name: str, arm: Arm, settings: PlanningSettings, capacity: int | None = None
+) -> tuple[RecedingHorizonPlanner, Request, TimedSolver]:
+    """A planner without deadline for the start of a scene, what to ask it for, and its solver.
+
+    Parameters
+    ----------
+    scene_name
+        Name or file.
+    arm
+        The arm.
+    settings
+        What the planner is made of; each search takes the same number of steps.
+    capacity
+        Number of spheres that the program takes; as many as the nodes choose for the scene by default.
+    """
+    scene = make_scene(read_scene(scene_name), arm, 0)
+    found: list[TimedSolver] = []
+
+    def make(*arguments: Any) -> TimedSolver:
+        found.append(TimedSolver(*arguments))
         return found[0]
 
-    began = time.process_time()
-    force, capacity = load_budget().permitted_force, value if name == "spheres" else 1
-    planner = RecedingHorizonPlanner(scene.arm, settings, ControllerSettings(), force, capacity, solver=make)
+    planner = RecedingHorizonPlanner(
+        scene.arm,
+        dataclasses.replace(settings, deadline=0.0, max_steps=_STEPS),
+        ControllerSettings(),
+        load_budget().permitted_force,
+        sphere_capacity(scene) if capacity is None else capacity,
+        solver=make,
+    )
     spheres = obstacle_spheres(scene, rest_positions(scene))
-    request = Request(scene.start, np.zeros(scene.arm.n), 0, 0, Target(scene.target), spheres)
-    planner.plan(request)
-    ready_s = time.process_time() - began - _REPEATS * _STEPS * found[0].step_s
-    planner.plan(request)
-    return {"step_ms": 1e3 * found[0].step_s, "ready_s": ready_s}
+    return planner, Request(scene.start, np.zeros(scene.arm.n), 0, 0, Target(scene.target), spheres), found[0]
 
 
 def _reading() -> dict[str, float]:

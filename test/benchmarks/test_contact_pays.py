@@ -19,8 +19,6 @@ from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions, sp
 
 SEED = 0
 
-pytestmark = pytest.mark.slow
-
 
 def run(name, scene, goal, timeout, until_settled):
     """How a method ends with what the nodes run, without deadlines."""
@@ -48,6 +46,7 @@ def test_the_planner_settles_at_a_fruit_where_reference_posture_does_not():
     assert not theirs.settled and not theirs.stop_reason
 
 
+@pytest.mark.slow
 def test_the_planner_gets_through_the_slalom_of_the_authors_without_their_via_point():
     scene = cr.load_scene("slalom")
     ours = run("contact_reach", scene, scene.goal, 60.0, until_settled=False)
@@ -63,12 +62,14 @@ def test_the_planner_settles_in_random_clutter_that_only_contact_leads_through()
     assert not run("reference_posture", scene, scene.goal, 25.0, until_settled=True).settled
 
 
+@pytest.mark.slow
 def test_the_planner_settles_at_a_goal_behind_walls_and_presses_less_than_half_as_hard_as_reference_posture(results):
     ours, theirs = results["contact_reach"], results["reference_posture"]
     assert ours.reached and ours.settled
     assert 0.0 < ours.max_contact_force < 0.5 * theirs.max_contact_force
 
 
+@pytest.mark.slow
 def test_contact_is_what_makes_that_goal_reachable(results):
     scene = cr.load_scene("wall", arm=ARM, seed=SEED)
     spheres = obstacle_spheres(scene, rest_positions(scene))

@@ -49,17 +49,17 @@ def test_scenes_are_crossed_or_compared_alone():
 
 
 def test_costs_differ_in_weights_only_and_the_shipped_one_is_shipped():
-    shipped = Factors(*SHIPPED).setup
+    shipped = Factors(*SHIPPED).setup("wall")
     assert shipped.planning == PlanningSettings(deadline=0.0, max_steps=5)
     assert shipped.replanning == ReplanningSettings()
     for cost in COSTS:
         changed = {
             name
-            for name, value in vars(Factors(cost, 0.04, True).setup.planning).items()
+            for name, value in vars(Factors(cost, 0.04, True).setup("wall").planning).items()
             if value != getattr(shipped.planning, name)
         }
         assert all(name.endswith("_weight") or name == "contact_patience" for name in changed), cost
-    slow = Factors("shipped", 0.47, False).setup
+    slow = Factors("shipped", 0.47, False).setup("slalom")
     assert (slow.replanning.period, slow.replanning.latency, slow.planning.detour_patience) == (0.47, 0.47, 0.0)
 
 

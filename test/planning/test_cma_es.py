@@ -41,7 +41,7 @@ def turned_cigar(x: np.ndarray) -> np.ndarray:
 
 
 def reference(n: int, population: int, parents: int, rates: Rates) -> cma.CMAEvolutionStrategy:
-    """The package's own strategy, with equal weights and the tutorial's rates (its own are newer)."""
+    """The package's own strategy, with equal weights, the tutorial's rates (its own are newer) and our root of C."""
     options = {"verbose": -9, "popsize": population, "CMA_active": False, "updatecovwait": 0, "tolfun": 0}
     strategy = cma.CMAEvolutionStrategy(np.full(n, 0.7), 1.0, options)
     weights = strategy.sp.weights
@@ -50,6 +50,7 @@ def reference(n: int, population: int, parents: int, rates: Rates) -> cma.CMAEvo
     strategy.sp.cc, strategy.sp.c1, strategy.sp.cmu = rates.c_c, rates.c_1, rates.c_mu
     strategy.sm.parameters = lambda **_: {"c1": rates.c_1, "cmu": rates.c_mu}
     strategy.adapt_sigma.cs, strategy.adapt_sigma.damps = rates.c_sigma, rates.d_sigma
+    strategy.sm.transform_inverse = lambda step: np.linalg.solve(np.linalg.cholesky(strategy.sm.C), step)
     return strategy
 
 

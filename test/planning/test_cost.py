@@ -113,15 +113,20 @@ def costs_and_slopes(cost) -> Iterator[Callable[[Problem, jax.Array], tuple[jax.
     jax.config.update("jax_disable_most_optimizations", True)
 
 
+@pytest.fixture(scope="module")
+def solver_slopes(cost) -> Callable[[tuple[Problem, jax.Array], np.ndarray], jax.Array]:
+    """As the solver computes them."""
+    return jax.jit(by_lanes(functools.partial(slopes, cost), AUTO))
+
+
 @pytest.mark.parametrize("touching", [False, True])
-def test_gradient_agrees_with_finite_differences(cost, costs_and_slopes, touching):
+def test_gradient_agrees_with_finite_differences(solver_slopes, costs_and_slopes, touching):
     """To 1e-6 in double precision, and to 1e-2 as the solver has it, relative to the steepest slope."""
     point = np.random.default_rng(1).uniform(-0.5, 0.5, 39)
     points = np.tile(point[:, None], (1, 39))
     obstacle = ball(beside_forearm(-0.005) if touching else FAR_BALL)
     problem = make_problem(HOME, FLANGE + np.array([0.2, 0.1, -0.1]), obstacle, orientation=0.1)
-    by_solver = jax.jit(by_lanes(functools.partial(slopes, cost), AUTO))
-    single = by_solver((problem, points[:, :1].astype(np.float32)), np.eye(39, dtype=np.float32))
+    single = solver_slopes((problem, points[:, :1].astype(np.float32)), np.eye(39, dtype=np.float32))
     assert single.dtype == np.float32
     with jax.enable_x64(True):
         double_problem = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), problem)
