@@ -156,21 +156,29 @@ FIGURES: dict[str, Callable[[Record], float]] = {
 def effects_tables(records: Sequence[Record]) -> str:
     """Tables in Markdown: the mean of each level, and its difference from the shipped one, by scene."""
     parts = []
-    for scene in dict.fromkeys(record["scene"] for record in records):
-        own = complete([record for record in records if record["scene"] == scene])
-        targets = {record["target"] for record in own}
-        rows = []
-        for place, factor in enumerate(Factors._fields):
-            levels = list(dict.fromkeys(record[factor] for record in own))
-            if len(levels) < 2:
-                continue
-            base = SHIPPED[place]
-            for level in sorted(levels, key=lambda each: each != base):
-                cells = [_text(effect(own, factor, level, base, figure)) for figure in FIGURES.values()]
-                rows.append([factor, str(level), *cells])
-        parts.append(f"{scene}, {len(targets)} targets, {len(own)} episodes:\n")
+    for scene, own in by_scene(records).items():
+        rows = [
+            [factor, str(level), *[_text(effect(own, factor, level, figure)) for figure in FIGURES.values()]]
+            for factor, level in levels(own)
+        ]
+        parts.append(f"{scene}, {len({record['target'] for record in own})} targets, {len(own)} episodes:\n")
         parts.append(table(["factor", "level", *FIGURES], rows) + "\n")
     return "\n".join(parts)
+
+
+def by_scene(records: Sequence[Record]) -> dict[str, list[Record]]:
+    """The episodes of the targets that have all combinations, by scene."""
+    scenes = dict.fromkeys(record["scene"] for record in records)
+    return {scene: complete([record for record in records if record["scene"] == scene]) for scene in scenes}
+
+
+def levels(records: Sequence[Record]) -> list[tuple[str, Any]]:
+    """Each level of the factors that differ, that of the shipped planner first."""
+    found = []
+    for factor, base in zip(Factors._fields, SHIPPED, strict=True):
+        own = dict.fromkeys(record[factor] for record in records)
+        found += [(factor, level) for level in sorted(own, key=lambda each: each != base)] if len(own) > 1 else []
+    return found
 
 
 def complete(records: Sequence[Record]) -> list[Record]:
@@ -182,9 +190,9 @@ def complete(records: Sequence[Record]) -> list[Record]:
 
 
 def effect(
-    records: Sequence[Record], factor: str, level: object, base: object, figure: Callable[[Record], float]
+    records: Sequence[Record], factor: str, level: object, figure: Callable[[Record], float]
 ) -> tuple[Estimate, Estimate | None]:
-    """Mean of a level over all other factors, and its difference from the base, with intervals over targets."""
+    """Mean of a level over all other factors, and its difference from the shipped one, with intervals over targets."""
 
     def means(wanted: object) -> dict[int, float]:
         values: dict[int, list[float]] = {}
@@ -193,6 +201,7 @@ def effect(
                 values.setdefault(record["target"], []).append(figure(record))
         return {target: float(np.mean(each)) for target, each in values.items()}
 
+    base = SHIPPED[Factors._fields.index(factor)]
     own, reference = means(level), means(base)
     mean = estimate(list(own.values()))
     return mean, None if level == base else estimate([own[target] - reference[target] for target in own])

@@ -1,8 +1,8 @@
 """Pictures of benchmarks that have run, from their JSON.
 
-`python -m benchmarks.pictures clutter.json clutter.png` draws a run of clutter, setting, fig5, solver or blindness, and
-`python -m benchmarks.pictures shipped.json hinge.json linear.json table1.png` runs of table1 with several presets. The
-picture is a PNG, or an SVG if its name ends so.
+`python -m benchmarks.pictures clutter.json clutter.png` draws a run of clutter, setting, fig5, solver, blindness or
+factors (whose file is a line of JSON for each episode), and `python -m benchmarks.pictures shipped.json hinge.json
+linear.json table1.png` runs of table1 with several presets. The picture is a PNG, or an SVG if its name ends so.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks import paper
+from benchmarks import factors, paper
 from benchmarks.blindness import HARM
 from benchmarks.claims import Results
 from benchmarks.output import Report, command_line, read_report, run_command
@@ -167,6 +167,29 @@ def plot_blindness(report: Report) -> Figure:
     return figure
 
 
+def plot_factors(report: Report) -> Figure:
+    """What each level of a factor changes against the shipped one, with intervals of 95 %, by scene."""
+    rows = [
+        (f"{scene}: {factor} {level}", own, factor, level)
+        for scene, own in factors.by_scene(report["episodes"]).items()
+        for factor, level in factors.levels(own)
+        if level not in factors.SHIPPED
+    ][::-1]
+    figure = Figure((9.0, 1.2 + 0.28 * len(rows)), layout="constrained")
+    grid = figure.subplots(1, len(factors.FIGURES), sharey=True)
+    for axes, (label, of) in zip(grid, factors.FIGURES.items(), strict=True):
+        for place, (_, own, factor, level) in enumerate(rows):
+            found = factors.effect(own, factor, level, of)[1]
+            if found is not None:
+                axes.plot([found.low, found.high], [place, place], color=GREY, linewidth=2.0)
+                axes.plot(found.mean, place, marker="o", color=_COLOURS[factors.Factors._fields.index(factor)])
+        axes.axvline(0.0, color="black", linewidth=0.8)
+        axes.set_xlabel(f"change of {label}")
+        axes.grid(axis="x", alpha=0.3)
+    grid[0].set_yticks(range(len(rows)), [name for name, *_ in rows], fontsize="small")
+    return figure
+
+
 def _published(scene: str, method: str, name: str) -> Estimate:
     """The paper's figure, with its standard deviation in place of an interval."""
     cell = paper.TABLE_1.get((scene, method))
@@ -197,6 +220,7 @@ PICTURES = {
     "fig5": plot_fig5,
     "solver": plot_solver,
     "blindness": plot_blindness,
+    "factors": plot_factors,
 }
 """Of one report, by benchmark; `plot_table1` takes several."""
 
@@ -213,14 +237,21 @@ def draw(reports: Sequence[Report]) -> Figure:
     return PICTURES[bench](reports[0])
 
 
+def _read(file: Path, bench: str = "") -> Report:
+    """A report; factors are a line for each episode."""
+    if file.suffix == ".jsonl":
+        return {"bench": "factors", "episodes": factors.read(file)}
+    return read_report(file, bench)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """The command line."""
     parser = command_line(__doc__)
     parser.add_argument("reports", nargs="+", type=Path, metavar="JSON", help="what `--json` wrote")
     parser.add_argument("picture", type=Path, metavar="PICTURE", help="PNG or SVG to write")
     options = parser.parse_args(arguments)
-    first = read_report(options.reports[0])
-    figure = draw([first, *(read_report(file, first["bench"]) for file in options.reports[1:])])
+    first = _read(options.reports[0])
+    figure = draw([first, *(_read(file, first["bench"]) for file in options.reports[1:])])
     # Text stays text, and the same run is drawn to the same bytes.
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "contact_reach"}):
         figure.savefig(options.picture, metadata={"Date": None} if options.picture.suffix == ".svg" else None)

@@ -72,12 +72,12 @@ def test_targets_of_a_scene_with_a_given_one_are_around_it():
 
 def test_an_effect_is_the_difference_over_all_other_factors():
     records = [each for target in range(3) for each in crossed(target)]
-    own, difference = effect(records, "cost", "hinge", "shipped", FIGURES["time, s"])
+    own, difference = effect(records, "cost", "hinge", FIGURES["time, s"])
     assert own.mean == pytest.approx(5.0 + 1.0 + 3.0 + 4.0 / 3.0)
     assert [*difference] == pytest.approx([3.0, 3.0, 3.0])
-    assert effect(records, "delay", 0.47, 0.04, FIGURES["time, s"])[1].mean == pytest.approx(4.0)
-    assert effect(records, "detours", False, True, FIGURES["time, s"])[1].mean == pytest.approx(0.0)
-    assert effect(records, "cost", "shipped", "shipped", FIGURES["success, %"])[1] is None
+    assert effect(records, "delay", 0.47, FIGURES["time, s"])[1].mean == pytest.approx(4.0)
+    assert effect(records, "detours", False, FIGURES["time, s"])[1].mean == pytest.approx(0.0)
+    assert effect(records, "cost", "shipped", FIGURES["success, %"])[1] is None
     text = effects_tables(records)
     assert "wall, 3 targets, 72 episodes" in text
     assert "| cost | hinge | 100.00, +0.00 [0.00, 0.00] |" in text
