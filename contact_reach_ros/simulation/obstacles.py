@@ -31,10 +31,6 @@ _RIGID: dict[str, str] = {"condim": "3", "solref": "0.004 1.0", "solimp": "0.95 
 """Critically damped within 4 ms, four steps of the simulation: some 100,000 N/m at the hand."""
 _RIGID_FRICTION = 0.5
 
-OUT_OF_REACH = (0.0, 0.0, -100.0)
-"""Position of the unknown sphere where nothing touches it, m."""
-_UNKNOWN_FRICTION = 0.2
-
 
 def obstacle_bodies(obstacle: Obstacle, index: int, scale: float) -> list[Element]:
     """Make a sphere for each of those of the obstacle with this index in the scene, without the springs of its edges.
@@ -100,13 +96,6 @@ def _capsule(
     geom.set("type", "capsule")
     geom.set("fromto", numbers((0.0, 0.0, 0.0, *end)))
     return geom
-
-
-def unknown_sphere(radius: float, stiffness: float) -> Element:
-    """A fixed sphere out of reach that can be placed anywhere while the simulation runs: radius, m, stiffness, N/m."""
-    body = Element("body", name="unknown", pos=numbers(OUT_OF_REACH), mocap="true")
-    body.append(_sphere("unknown", radius, 0.0, _UNKNOWN_FRICTION, _contact(stiffness, _FIXED_MASS)))
-    return body
 
 
 def soften_fixed(model: mujoco.MjModel) -> None:

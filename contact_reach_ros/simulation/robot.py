@@ -34,7 +34,7 @@ class SimulatedRobot:
         watchdog: WatchdogSettings | None = None,
         noise_seed: int | None = None,
         period: float = TICK,
-        unknown: tuple[float, float] | None = None,
+        plant: Plant | None = None,
     ) -> None:
         """Build the robot at the scene's start.
 
@@ -48,8 +48,8 @@ class SimulatedRobot:
             Seed of sensor noise; None for the scene's.
         period
             Time between joint states, s; the physics still advances at 1 kHz.
-        unknown
-            As for `Plant`.
+        plant
+            The physics of the scene; None for `Plant`.
 
         Raises
         ------
@@ -58,7 +58,7 @@ class SimulatedRobot:
         """
         self._ticks = check_period(period)
         self.scene = scene
-        self.plant = Plant(scene, JointSettings(), noise_seed, unknown)
+        self.plant = plant or Plant(scene, JointSettings(), noise_seed)
         self.drive = Drive(self.plant, watchdog or WatchdogSettings())
         self.start_ns = 0
         has_mesh = any(obstacle.is_deformable for obstacle in scene.obstacles)

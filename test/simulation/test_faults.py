@@ -8,6 +8,7 @@ from arm_simulation import TICK_NS as MS
 from benchmarks.faulty_robot import (
     Fault,
     Faults,
+    FaultyPlant,
     Friction,
     Late,
     Lost,
@@ -34,13 +35,13 @@ STATE = JointState(0, np.linspace(0.1, 0.7, 7), np.linspace(-0.3, 0.3, 7), np.li
 
 def make_plant(
     payload: float = 0.0, unknown: UnknownObstacle | None = None, joints: JointSettings = NO_FRICTION
-) -> Plant:
+) -> FaultyPlant:
     mismatch = MismatchSettings("nominal", payload, friction_scale=1.0, noise_scale=0.0, foam_variation=0.0)
     scene = Scene("test", ARM, 0, START, np.zeros(3), mismatch=mismatch)
-    return Plant(scene, joints, unknown=unknown and (unknown.radius, unknown.stiffness))
+    return FaultyPlant(scene, joints, unknown=unknown)
 
 
-def playing(*faults: Fault, plant: Plant | None = None, seed: int = 0) -> Faults:
+def playing(*faults: Fault, plant: FaultyPlant | None = None, seed: int = 0) -> Faults:
     played = Faults(faults, seed, plant or make_plant())
     played.start(0)
     return played
