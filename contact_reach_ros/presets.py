@@ -145,8 +145,6 @@ def _check_together(file: Path, settings: Mapping[str, Any], arm: Arm, period: f
 
     try:
         check_gains(arm, settings["controller"]["impedance"], period)
-        if "adapter" in started:
-            settings["adapter"][""].check_period(period)
         if "driver" in started:
             check_period(period)
     except SettingsError as error:

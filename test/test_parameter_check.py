@@ -41,7 +41,6 @@ def test_the_packages_own_file_passes():
         ({"/**/observer": {"momentum": {"gian": 9.0}}}, "observer: unknown key 'momentum.gian'"),
         ({"controller": {"limits": {"torque_share": 2.0}}}, "controller: limits.torque_share = 2.0: expected a number"),
         ({"/**": {"robot": "r2"}}, "robot: arm 'r2' is unknown; expected one of fr3, iiwa14"),
-        ({"adapter": {"hold_after": 0.5}}, "adapter: .*hold_after = 0.5: expected less than stop_after"),
         (
             {"planner": {"impedance": {"task_damping": 50.0}}},
             "planner: unknown key 'impedance.task_damping'; set it for the controller",
@@ -71,11 +70,9 @@ def test_planner_and_observer_must_have_the_same_budget(written, tmp_path):
 
 
 def test_what_is_given_on_top_of_the_file_counts(written):
-    file = written(adapter={"hold_after": 0.003})
+    file = written()
     rate = {name: {"state_rate": 500.0} for name in STACK}
     check_parameters(file, rate)
-    with pytest.raises(SettingsError, match=r"hold_after = .*: expected at least two periods"):
-        check_parameters(file, {**rate, "adapter": {"state_rate": 500.0}})
     with pytest.raises(SettingsError, match=r"state_rate = .* for the observer"):
         check_parameters(file, {**rate, "observer": {}})
 

@@ -154,13 +154,6 @@ class ReplanningSettings(Settings):
         maximum=1.0,
         changeable=True,
     )
-    goal_timeout: float = setting(
-        2.0,
-        "age of a goal beyond which it is refused, and gap in the joint states that ends the goal in force",
-        unit="s",
-        minimum=0.1,
-        maximum=3600.0,
-    )
     max_obstacle_age: float = setting(
         0.5,
         "age of the obstacles beyond which goals and plans are refused, 0 for none",
