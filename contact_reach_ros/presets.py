@@ -149,7 +149,4 @@ def _check_together(file: Path, settings: Mapping[str, Any], arm: Arm, period: f
             check_period(period)
     except SettingsError as error:
         raise SettingsError(f"{file}: {error}") from error
-    paths = {node: settings[node][""].contact_budget for node in ("planner", "observer")}
-    planners, observers = (load_budget(path).resolve(arm) for path in paths.values())
-    if planners != observers:
-        raise SettingsError(f"{file}: planner and observer read different contact budgets: {paths}; expected the same")
+    load_budget(settings["observer"][""].contact_budget).resolve(arm)

@@ -45,6 +45,7 @@ def test_the_packages_own_file_passes():
             {"planner": {"impedance": {"task_damping": 50.0}}},
             "planner: unknown key 'impedance.task_damping'; set it for the controller",
         ),
+        ({"planner": {"contact_budget": "own.yaml"}}, "planner: unknown key 'contact_budget'; set it for the observer"),
         ({"controller": {"impedance": {"null_damping": 50.0}}}, "null_damping = 50 are not stable at 1000 Hz"),
         ({"planner": {"state_rate": 500.0}}, "state_rate = .*1000.0 for the controller.* 500.0 for the planner"),
         (
@@ -59,14 +60,6 @@ def test_the_packages_own_file_passes():
 def test_what_is_wrong_is_named(written, nodes, message):
     with pytest.raises(SettingsError, match=message):
         check_parameters(written(**nodes), STACK)
-
-
-def test_planner_and_observer_must_have_the_same_budget(written, tmp_path):
-    own = tmp_path / "budget.yaml"
-    own.write_text("permitted_force: 20.0\n")
-    with pytest.raises(SettingsError, match="planner and observer read different contact budgets"):
-        check_parameters(written(planner={"contact_budget": str(own)}))
-    check_parameters(written(planner={"contact_budget": str(own)}, observer={"contact_budget": str(own)}))
 
 
 def test_what_is_given_on_top_of_the_file_counts(written):

@@ -197,7 +197,6 @@ class PlannerNodeSettings(ReplanningSettings):
         "orientation of the goal: held as it is when the goal arrives, that of the pose, or free",
         choices=ORIENTATIONS,
     )
-    contact_budget: str = setting("", "contact budget YAML; the package's own when empty")
     max_spheres: int = setting(
         1, "nearest obstacle spheres that a plan takes into account; 0 plans without contact", minimum=0, maximum=64
     )
