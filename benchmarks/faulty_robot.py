@@ -18,9 +18,8 @@ from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.simulation.obstacles import obstacle_bodies, soften_fixed
-from contact_reach_ros.simulation.plant import Plant
+from contact_reach_ros.simulation.plant import FRICTION, Plant
 from contact_reach_ros.simulation.robot import SimulatedRobot
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.obstacle import BallSettings
 from contact_reach_ros.world.scene import Scene
@@ -190,7 +189,7 @@ class FaultyPlant(Plant):
     def __init__(
         self,
         scene: Scene,
-        joints: JointSettings,
+        friction: tuple[float, float] = FRICTION,
         noise_seed: int | None = None,
         unknown: UnknownObstacle | None = None,
     ) -> None:
@@ -201,7 +200,7 @@ class FaultyPlant(Plant):
             (obstacle,) = ball.at(_OUT_OF_REACH)
             bodies = obstacle_bodies(obstacle, len(scene.obstacles), 1.0)
             bodies[0].set("mocap", "true")
-        super().__init__(scene, joints, noise_seed, bodies)
+        super().__init__(scene, friction, noise_seed, bodies)
 
     def scale_friction(self, factor: float) -> None:
         """Multiply both joint frictions by a factor, relative to those of the scene."""
@@ -389,7 +388,7 @@ class FaultyRobot(SimulatedRobot):
         """
         hidden = next((each for each in faults if isinstance(each, UnknownObstacle)), None)
         noise_seed = options.get("noise_seed")
-        plant = FaultyPlant(scene, JointSettings(), noise_seed, hidden)
+        plant = FaultyPlant(scene, noise_seed=noise_seed, unknown=hidden)
         super().__init__(scene, plant=plant, **options)
         seed = scene.seed if noise_seed is None else noise_seed
         self.faults = Faults(faults, seed, plant) if faults else None

@@ -14,10 +14,13 @@ from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.arm.assumptions import inertias_at_home
 from contact_reach_ros.arm.mjcf import TIP_SITE, build_mjcf
 from contact_reach_ros.simulation.obstacles import Foam, obstacle_bodies, rigid_geoms, self_contacts, soften_fixed
-from contact_reach_ros.simulation.settings import TICK, TICK_NS, JointSettings
+from contact_reach_ros.simulation.settings import TICK, TICK_NS
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import rest_positions
 
+FRICTION = (0.3, 0.2)
+"""Viscous, N m s/rad, and dry friction of a joint, N m, which controller and observer do not know; the mismatch of a
+scene multiplies it."""
 POSITION_NOISE, VELOCITY_NOISE, TORQUE_NOISE = 1e-5, 1e-3, 0.05
 """Standard deviations of a good arm's sensors, rad, rad/s and N m; the mismatch of a scene multiplies them."""
 WEAK = 10.0
@@ -66,7 +69,7 @@ class Plant:
     def __init__(
         self,
         scene: Scene,
-        joints: JointSettings,
+        friction: tuple[float, float] = FRICTION,
         noise_seed: int | None = None,
         others: Sequence[Element] = (),
     ) -> None:
@@ -98,7 +101,7 @@ class Plant:
         self.actuation = Actuation.BRAKED
         self.steps = 0
         self.scene = scene
-        self._joints = joints
+        self._viscous, self._coulomb = friction
         self._friction_scale = mismatch.friction_scale
         limits, inertias = scene.arm.torque_limits, inertias_at_home(scene.arm)
         self._share = np.minimum(limits / WEAK, 1.0)
@@ -235,11 +238,11 @@ class Plant:
         self._pushes = pushes
 
     def _apply_joint_settings(self) -> None:
-        joints, scale = self._joints, self._friction_scale * self._share
+        scale = self._friction_scale * self._share
         damping, friction = {
-            Actuation.COMMANDED: (scale * joints.viscous_friction, scale * joints.coulomb_friction),
-            Actuation.DAMPED_HOLD: (HOLD_DAMPING, scale * joints.coulomb_friction),
-            Actuation.BRAKED: (scale * joints.viscous_friction, BRAKE_TORQUE),
+            Actuation.COMMANDED: (scale * self._viscous, scale * self._coulomb),
+            Actuation.DAMPED_HOLD: (HOLD_DAMPING, scale * self._coulomb),
+            Actuation.BRAKED: (scale * self._viscous, BRAKE_TORQUE),
         }[self.actuation]
         # MuJoCo integrates joint damping implicitly, so the damped hold is stable whatever the inertia.
         self.model.dof_damping[self._arm] = damping

@@ -6,7 +6,7 @@ from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.plant import Plant
-from contact_reach_ros.simulation.settings import TICK, TICK_NS, JointSettings, WatchdogSettings, check_period
+from contact_reach_ros.simulation.settings import TICK, TICK_NS, WatchdogSettings, check_period
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres, obstacle_spheres
 
@@ -58,7 +58,7 @@ class SimulatedRobot:
         """
         self._ticks = check_period(period)
         self.scene = scene
-        self.plant = plant or Plant(scene, JointSettings(), noise_seed)
+        self.plant = plant or Plant(scene, noise_seed=noise_seed)
         self.drive = Drive(self.plant, watchdog or WatchdogSettings())
         self.start_ns = 0
         has_mesh = any(obstacle.is_deformable for obstacle in scene.obstacles)

@@ -16,7 +16,6 @@ from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.planning.obstacles import Network
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import Plant
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
 
@@ -51,7 +50,7 @@ def test_targets_are_the_fruits_of_a_plant_that_the_seed_turns():
 def test_a_stem_yields_at_every_node_as_the_planner_expects(stem):
     softness = Network(obstacle_spheres(SCENE, rest_positions(SCENE))).softness
     for node in STEMS.bending.stems[stem][1:]:
-        plant = Plant(SCENE, JointSettings())
+        plant = Plant(SCENE)
         direction = np.cross(of_direction(node), [0.3, 0.5, 0.8])
         direction /= np.linalg.norm(direction)
         push(plant, f"plant_0_{node}", 0.5 * direction, 300)
@@ -62,7 +61,7 @@ def test_a_stem_yields_at_every_node_as_the_planner_expects(stem):
 
 
 def test_no_joint_bends_beyond_its_limit_and_the_stem_returns():
-    plant, node = Plant(SCENE, JointSettings()), STEMS.bending.stems[5][-1]
+    plant, node = Plant(SCENE), STEMS.bending.stems[5][-1]
     across = np.cross(of_direction(node), [0.0, 0.0, 1.0])
     push(plant, f"plant_0_{node}", 30.0 * across, 300)
     assert np.abs(plant.data.qpos[SCENE.arm.n :]).max() < STEMS.bending.limit + 0.1

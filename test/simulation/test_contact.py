@@ -9,7 +9,6 @@ from arm_simulation import ARM, HOME
 
 from benchmarks.faulty_robot import FaultyPlant
 from contact_reach_ros.simulation.plant import Plant
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.obstacle import BallSettings, Obstacle
 from contact_reach_ros.world.scene import Scene
@@ -35,7 +34,7 @@ def ball_beside(link: int, gap: float, **settings) -> Obstacle:
 
 def braked(*balls: Obstacle, scale: float = 1.0) -> FaultyPlant:
     scene = Scene("test", ARM, 0, HOME, np.zeros(3), tuple(balls), foam_scale=scale)
-    return FaultyPlant(scene, JointSettings())
+    return FaultyPlant(scene)
 
 
 def settle(plant: Plant, seconds: float = 2.0) -> None:
