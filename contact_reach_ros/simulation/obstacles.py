@@ -27,6 +27,11 @@ _CONTACT_DAMPING = 10.0
 _FIXED_MASS = 0.01
 """What fixed spheres have in their contacts for a mass, kg: so little that the arm's does not count."""
 
+_RELAXATION = 0.02
+"""Damping of a stem's joint over its stiffness, s: the time in which a bent stem returns."""
+BEND_LIMIT = 0.8
+"""Greatest bend at such a joint, rad."""
+
 _RIGID: dict[str, str] = {"condim": "3", "solref": "0.004 1.0", "solimp": "0.95 0.99 0.001 0.5 2.0"}
 """Critically damped within 4 ms, four steps of the simulation: some 100,000 N/m at the hand."""
 _RIGID_FRICTION = 0.5
@@ -60,9 +65,9 @@ def _stems(obstacle: Obstacle, index: int, scale: float) -> list[Element]:
     rigid, bodies = _contact(scale * material.contact_stiffness, _FIXED_MASS), []
     bend = {
         "stiffness": repr(scale * bending.stiffness),
-        "damping": repr(scale * bending.damping),
+        "damping": repr(scale * _RELAXATION * bending.stiffness),
         "limited": "true",
-        "range": numbers((-bending.limit, bending.limit)),
+        "range": numbers((-BEND_LIMIT, BEND_LIMIT)),
     }
     for stem, masses, fruit in zip(bending.stems, bending.masses, bending.fruits, strict=True):
         root, first = obstacle.rest[list(stem[:2])]

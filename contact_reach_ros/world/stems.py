@@ -24,10 +24,6 @@ _LINK_LENGTH, _LEAF_LENGTH = 0.05, 0.095
 """As in the paper's code, m."""
 _LINK_MASS, _LEAF_MASS, _FRUIT_MASS = 0.004, 0.005, 0.02
 """Of herbaceous stems 10 mm thick, and a small fruit, kg."""
-_RELAXATION = 0.02
-"""Damping of a joint over its stiffness, s: the time in which a bent stem returns."""
-_BEND_LIMIT = 0.8
-"""Greatest bend at a joint, rad."""
 _MOST_RIGIDITY = 1.25
 """N m²: 10,000 N/m at the end of the first link that moves, and more is as good as fixed."""
 _NODE_DAMPING = 1.0
@@ -118,14 +114,7 @@ class StemsSettings(ObstacleSettings):
             stems.append(chain)
             masses.append([_LINK_MASS] * (len(ends) - 1) + [_LINK_MASS if stem.bears_fruit else _LEAF_MASS])
         fruits = tuple(_FRUIT_MASS if stem.bears_fruit else 0.0 for stem in self.parsed())
-        bending = Bending(
-            stems=tuple(stems),
-            masses=tuple(map(tuple, masses)),
-            fruits=fruits,
-            stiffness=joint_stiffness,
-            damping=_RELAXATION * joint_stiffness,
-            limit=_BEND_LIMIT,
-        )
+        bending = Bending(tuple(stems), tuple(map(tuple, masses)), fruits, joint_stiffness)
         rest = np.array(points)
         fixed = np.arange(len(rest)) == 0
         return (

@@ -15,6 +15,7 @@ from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.planning.obstacles import Network
 from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.simulation.obstacles import BEND_LIMIT
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
@@ -64,7 +65,7 @@ def test_no_joint_bends_beyond_its_limit_and_the_stem_returns():
     plant, node = Plant(SCENE), STEMS.bending.stems[5][-1]
     across = np.cross(of_direction(node), [0.0, 0.0, 1.0])
     push(plant, f"plant_0_{node}", 30.0 * across, 300)
-    assert np.abs(plant.data.qpos[SCENE.arm.n :]).max() < STEMS.bending.limit + 0.1
+    assert np.abs(plant.data.qpos[SCENE.arm.n :]).max() < BEND_LIMIT + 0.1
     assert np.linalg.norm(plant.obstacle_positions()[node] - STEMS.rest[node]) > 0.1
     push(plant, f"plant_0_{node}", np.zeros(3), 1000)
     assert np.abs(plant.obstacle_positions() - STEMS.rest).max() < 1e-3
