@@ -14,8 +14,8 @@ from benchmarks.faulty_robot import Fault
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SceneError
-from contact_reach_ros.scenes.placing import free_path, path_segments
-from contact_reach_ros.world.collision import overlap_depths
+from contact_reach_ros.scenes.placing import free_path
+from contact_reach_ros.world.collision import capsule_segments, overlap_depths
 from contact_reach_ros.world.scene import Scene
 
 _LATEST = 2.0
@@ -101,7 +101,7 @@ def _obstacle(random: Random, scene: Scene) -> Fault:
         path = free_path(model, scene.start, scene.target)
     except SceneError:
         return faults.Friction(2.0)
-    starts, ends = path_segments(scene.arm, scene.start[None])
+    starts, ends = capsule_segments(scene.arm, scene.start[None])
     for _ in range(50):
         place, _ = model.tip_pose(path[int(random.uniform(0.3, 1.0) * (len(path) - 1))])
         place = place + random.uniform(0.0, 0.08) * _direction(random)

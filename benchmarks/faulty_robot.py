@@ -11,13 +11,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
+import mujoco
 import numpy as np
 
 from contact_reach_ros.arm import Array, JointState
+from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA
 from contact_reach_ros.errors import InputError, SettingsError
-from contact_reach_ros.simulation.plant import Plant
+from contact_reach_ros.simulation.obstacles import obstacle_bodies, soften_fixed
+from contact_reach_ros.simulation.plant import FRICTION, Plant
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.timing import NANOSECONDS
+from contact_reach_ros.world.obstacle import BallSettings
 from contact_reach_ros.world.scene import Scene
 
 Vector = tuple[float, float, float]
@@ -175,6 +179,54 @@ class Push(Fault):
 
 AnyFault = TypeVar("AnyFault", bound=Fault)
 
+_OUT_OF_REACH = np.array([0.0, 0.0, -100.0])
+"""Where nothing touches the unknown obstacle, m."""
+
+
+class FaultyPlant(Plant):
+    """A simulated arm whose payload and friction change, and an obstacle that comes and goes."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        friction: tuple[float, float] = FRICTION,
+        noise_seed: int | None = None,
+        unknown: UnknownObstacle | None = None,
+    ) -> None:
+        """As `Plant`; `unknown`: the sphere for `place_unknown`, out of reach at first."""
+        bodies = []
+        if unknown is not None:
+            ball = BallSettings(radius=unknown.radius, contact_stiffness=unknown.stiffness, fixed=True)
+            (obstacle,) = ball.at(_OUT_OF_REACH)
+            bodies = obstacle_bodies(obstacle, len(scene.obstacles), 1.0)
+            bodies[0].set("mocap", "true")
+        super().__init__(scene, friction, noise_seed, bodies)
+
+    def scale_friction(self, factor: float) -> None:
+        """Multiply both joint frictions by a factor, relative to those of the scene."""
+        self._friction_scale = factor * self.scene.mismatch.friction_scale
+        self._apply_joint_settings()
+
+    def set_payload(self, mass: float) -> None:
+        """Set a mass, kg, at the flange, in addition to the scene's payload and at the same place."""
+        model = self.model
+        body = model.body(self.scene.arm.tip_frame).id
+        total = self.scene.mismatch.payload + mass
+        if total == model.body_mass[body]:
+            return
+        model.body_mass[body] = total
+        model.body_inertia[body] = PAYLOAD_INERTIA * total
+        model.body_ipos[body] = PAYLOAD_CENTER
+        # Otherwise MuJoCo would take the centre of mass for the origin of a body that was compiled without a mass.
+        model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        soften_fixed(model)
+
+    def place_unknown(self, position: Array | None) -> None:
+        """Place the unknown sphere at `position` (3,), m, base frame; None moves it out of reach again."""
+        if self.model.nmocap:
+            self.data.mocap_pos[0] = _OUT_OF_REACH if position is None else position
+
 
 class Faults:
     """Injects faults: pass all commands and joint states through it, and call `act` before each step of the plant.
@@ -182,7 +234,7 @@ class Faults:
     Nothing happens before `start`. The same faults and seed have the same effects. Times are simulated time.
     """
 
-    def __init__(self, faults: Sequence[Fault], seed: int, plant: Plant) -> None:
+    def __init__(self, faults: Sequence[Fault], seed: int, plant: FaultyPlant) -> None:
         """Raises `SettingsError` for a joint or link that the arm lacks, and for two unknown obstacles."""
         for fault in faults:
             if isinstance(fault, Push) and fault.link not in plant.arm.link_names:
@@ -334,11 +386,12 @@ class FaultyRobot(SimulatedRobot):
         SettingsError
             As `SimulatedRobot`, or if the arm cannot have these faults.
         """
-        hidden = next(((each.radius, each.stiffness) for each in faults if isinstance(each, UnknownObstacle)), None)
-        super().__init__(scene, unknown=hidden, **options)
+        hidden = next((each for each in faults if isinstance(each, UnknownObstacle)), None)
         noise_seed = options.get("noise_seed")
+        plant = FaultyPlant(scene, noise_seed=noise_seed, unknown=hidden)
+        super().__init__(scene, plant=plant, **options)
         seed = scene.seed if noise_seed is None else noise_seed
-        self.faults = Faults(faults, seed, self.plant) if faults else None
+        self.faults = Faults(faults, seed, plant) if faults else None
 
     def start_faults(self) -> None:
         """Count the times of the faults from now on."""

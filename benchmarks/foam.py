@@ -17,7 +17,6 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import InputError, SceneError
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import TICK, Plant
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.obstacle import Obstacle, WallSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import read_scene
@@ -79,7 +78,7 @@ def bench_foam(scene: str = "wall", seed: int = 0, force: float = 10.0, file: Pa
 def press(scene: Scene, newtons: float, x: int, y: int, z: int) -> Press:
     """Press one node of the upper wall, given by its place in the lattice, along x."""
     node, force = _number(scene, (x, y, z)), np.array([newtons, 0.0, 0.0])
-    plant = Plant(scene, JointSettings())
+    plant = Plant(scene)
     spheres = obstacle_spheres(scene, rest_positions(scene))
     times: Array = TICK * np.arange(1, _PRESS_TICKS + 1, dtype=np.float64)
     ways = (

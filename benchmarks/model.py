@@ -33,7 +33,6 @@ from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.settings import PIPELINES, PlanningSettings
 from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import rest_positions
@@ -91,7 +90,7 @@ def simulate(
         Of the controller; by default those of the gains, with the package's limits.
     """
     arm = scene.arm
-    plant = Plant(scene, JointSettings(viscous_friction=0.0, coulomb_friction=0.0))
+    plant = Plant(scene, friction=(0.0, 0.0))
     plant.set_actuation(Actuation.COMMANDED)
     if spheres is not None:
         movable = ~np.concatenate([np.zeros(0, bool), *(obstacle.fixed for obstacle in scene.obstacles)])

@@ -16,7 +16,6 @@ from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.safety import RELEASE_DEBOUNCE, SafetySettings
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene
 
 MID_ARM = (3, 4, 5)
@@ -39,7 +38,7 @@ def step_63_error(arm: Arm, joint: int) -> float:
     start, settings = np.array(arm.home), ObserverSettings()
     plant = Plant(
         Scene("step", arm, 0, start, np.zeros(3), mismatch=dataclasses.replace(NO_MISMATCH, noise_scale=0.0)),
-        JointSettings(viscous_friction=0.0, coulomb_friction=0.0),
+        friction=(0.0, 0.0),
     )
     plant.set_actuation(Actuation.COMMANDED)
     observer, model = Observer(arm, settings, ContactBudget()), RobotModel(arm)

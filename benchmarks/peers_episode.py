@@ -20,7 +20,6 @@ from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalProgress
 from contact_reach_ros.planning.plan import Plan, PlanningCore, Request
 from contact_reach_ros.simulation.plant import TICK, TICK_NS, Actuation, Plant
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.goal import FREE, TOLERANCE, Goal, Target
 from contact_reach_ros.world.scene_file import SceneFile
 
@@ -32,7 +31,7 @@ def run_peer(file: SceneFile, target: int, setup: Setup, method: str, planner: s
     """One episode of a planner of `peers_runner`: servos that carry the arm's weight follow its knots, interpolated."""
     scene = concrete_scene(file, load_arm(setup.arm), target)
     _send(planner, episode_settings(scene, setup.planning, setup.budget.permitted_force))
-    plant, arm, patience = Plant(scene, JointSettings()), slice(0, scene.arm.n), round(PATIENCE / TICK)
+    plant, arm, patience = Plant(scene), slice(0, scene.arm.n), round(PATIENCE / TICK)
     plant.set_actuation(Actuation.COMMANDED)
     stiffness, damping = servo_gains(scene.arm)
     data, progress, pose = plant.data, GoalProgress(Goal(scene.target, FREE)), Target(scene.target)

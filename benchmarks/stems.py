@@ -14,7 +14,6 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.plant import Plant
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import read_scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions
@@ -66,7 +65,7 @@ def bench_stems(scene: str = "plant", seed: int = 0, pushes: int = 200, file: Pa
 
 def _push(scene: Scene, random: np.random.Generator) -> tuple[float, float, float, float]:
     """A push: force, that of the planner's model at this deflection, N, the deflection, m, and the slant, rad."""
-    plant, body = scene.obstacles[-1], Plant(scene, JointSettings())
+    plant, body = scene.obstacles[-1], Plant(scene)
     stiffness = stiffness_matrix(obstacle_spheres(scene, rest_positions(scene)))
     first = len(stiffness) - len(plant.rest)
     assert plant.bending is not None

@@ -37,43 +37,31 @@ if TYPE_CHECKING:
     from contact_reach_ros.world.scene import Scene
     from contact_reach_ros.world.spheres import Spheres, sphere_capacity
 
-_WHERE = {
-    "Arm": "arm.arm",
-    "ContactBudget": "observer.budget",
-    "ContactReachError": "errors",
-    "Controller": "control.controller",
-    "ControllerSettings": "control.settings",
-    "Goal": "world.goal",
-    "ImpedanceSettings": "control.settings",
-    "JointState": "arm.joint_state",
-    "LimitSettings": "control.settings",
-    "Observer": "observer.observer",
-    "ObserverSettings": "observer.settings",
-    "Plan": "planning.plan",
-    "Planner": "planning.planner",
-    "PlanningSettings": "planning.settings",
-    "References": "control.references",
-    "ReplanningSettings": "planning.settings",
-    "Result": "stack",
-    "Robot": "stack",
-    "SafetyReport": "observer.observer",
-    "Scene": "world.scene",
-    "SimulatedRobot": "simulation.robot",
-    "Spheres": "world.spheres",
-    "Stack": "stack",
-    "SupervisionSettings": "control.settings",
-    "Task": "world.goal",
-    "Tick": "stack",
-    "Tool": "arm.tool",
-    "UnexpectedContactSettings": "planning.settings",
-    "load_arm": "arms",
-    "load_budget": "observer.budget",
-    "load_scene": "scenes.generate",
-    "make_planner": "stack",
-    "preset": "presets",
-    "sphere_capacity": "world.spheres",
+_NAMES = {
+    "arm.arm": ("Arm",),
+    "arm.joint_state": ("JointState",),
+    "arm.tool": ("Tool",),
+    "arms": ("load_arm",),
+    "control.controller": ("Controller",),
+    "control.references": ("References",),
+    "control.settings": ("ControllerSettings", "ImpedanceSettings", "LimitSettings", "SupervisionSettings"),
+    "errors": ("ContactReachError",),
+    "observer.budget": ("ContactBudget", "load_budget"),
+    "observer.observer": ("Observer", "SafetyReport"),
+    "observer.settings": ("ObserverSettings",),
+    "planning.plan": ("Plan",),
+    "planning.planner": ("Planner",),
+    "planning.settings": ("PlanningSettings", "ReplanningSettings", "UnexpectedContactSettings"),
+    "presets": ("preset",),
+    "scenes.generate": ("load_scene",),
+    "simulation.robot": ("SimulatedRobot",),
+    "stack": ("Result", "Robot", "Stack", "Tick", "make_planner"),
+    "world.goal": ("Goal", "Task"),
+    "world.scene": ("Scene",),
+    "world.spheres": ("Spheres", "sphere_capacity"),
 }
-"""Public names, and the modules that define them."""
+"""Public names, by the modules that define them."""
+_WHERE = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = ["__version__", *_WHERE]
 

@@ -283,7 +283,8 @@ CPUS = Setting("cpus", "auto", "CPUs to run on: auto, all, or numbers")
 EVERY_NODE = (ROBOT, RATE, AUTOSTART, CPUS)
 """Parameters of every node but bring-up."""
 
-_GAINS = "impedance."
+_OF_OTHERS = {"impedance.": "controller", "contact_budget": "observer"}
+"""Prefixes of parameters that one node has and others read in its section, by node."""
 _OF_ROS = ("use_sim_time", "start_type_description_service")
 
 
@@ -368,12 +369,18 @@ def check_values(values: Mapping[str, Any], known: Mapping[str, Setting], source
     for name, value in values.items():
         if name in known:
             checked[name] = known[name].check(value, f"{source}: {name}")
-        elif name.startswith(_GAINS) and not any(other.startswith(_GAINS) for other in known):
-            hint = "set it for the controller, where the planner reads it, too"
+        elif owner := _owner(name, known):
+            hint = f"set it for the {owner}, where others read it, too"
             raise SettingsError(f"{source}: unknown key '{name}'; {hint}")
         elif name not in _OF_ROS and not name.startswith("qos_overrides."):
             raise SettingsError(unknown_key(name, known, source))
     return checked
+
+
+def _owner(name: str, known: Mapping[str, Setting]) -> str:
+    """The other node that has a parameter for all; empty if there is none."""
+    prefix = next((prefix for prefix in _OF_OTHERS if name.startswith(prefix)), "")
+    return "" if any(other.startswith(prefix) for other in known) else _OF_OTHERS.get(prefix, "")
 
 
 def as_arguments(parameters: Mapping[str, Any]) -> list[str]:

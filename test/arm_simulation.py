@@ -14,7 +14,6 @@ from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.references import Reference, References
 from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation, Plant
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene
 from contact_reach_ros.world.scene_file import SceneFile
@@ -39,7 +38,7 @@ SECOND_NS = 1_000_000_000
 
 IDEAL = dataclasses.replace(NO_MISMATCH, noise_scale=0.0)
 """An arm that is exactly what the controller's model says, with ideal sensors."""
-NO_FRICTION = JointSettings(viscous_friction=0.0, coulomb_friction=0.0)
+NO_FRICTION = (0.0, 0.0)
 
 
 def random_states(count: int, seed: int = 0, arm: Arm = ARM) -> tuple[np.ndarray, np.ndarray]:
@@ -57,12 +56,12 @@ def mobility(model: RobotModel) -> np.ndarray:
 def ideal_plant(
     start: np.ndarray = HOME,
     obstacles: tuple[Obstacle, ...] = (),
-    joints: JointSettings = NO_FRICTION,
+    friction: tuple[float, float] = NO_FRICTION,
     mismatch: MismatchSettings = IDEAL,
     seed: int = 0,
 ) -> Plant:
     """The simulated arm at `start`; it is `IDEAL` unless told otherwise."""
-    return Plant(Scene("test", ARM, seed, start, np.zeros(3), tuple(obstacles), mismatch=mismatch), joints)
+    return Plant(Scene("test", ARM, seed, start, np.zeros(3), tuple(obstacles), mismatch=mismatch), friction)
 
 
 def with_obstacle(file: SceneFile, **changes: Any) -> SceneFile:

@@ -41,11 +41,11 @@ def test_the_packages_own_file_passes():
         ({"/**/observer": {"momentum": {"gian": 9.0}}}, "observer: unknown key 'momentum.gian'"),
         ({"controller": {"limits": {"torque_share": 2.0}}}, "controller: limits.torque_share = 2.0: expected a number"),
         ({"/**": {"robot": "r2"}}, "robot: arm 'r2' is unknown; expected one of fr3, iiwa14"),
-        ({"adapter": {"hold_after": 0.5}}, "adapter: .*hold_after = 0.5: expected less than stop_after"),
         (
             {"planner": {"impedance": {"task_damping": 50.0}}},
             "planner: unknown key 'impedance.task_damping'; set it for the controller",
         ),
+        ({"planner": {"contact_budget": "own.yaml"}}, "planner: unknown key 'contact_budget'; set it for the observer"),
         ({"controller": {"impedance": {"null_damping": 50.0}}}, "null_damping = 50 are not stable at 1000 Hz"),
         ({"planner": {"state_rate": 500.0}}, "state_rate = .*1000.0 for the controller.* 500.0 for the planner"),
         (
@@ -62,20 +62,10 @@ def test_what_is_wrong_is_named(written, nodes, message):
         check_parameters(written(**nodes), STACK)
 
 
-def test_planner_and_observer_must_have_the_same_budget(written, tmp_path):
-    own = tmp_path / "budget.yaml"
-    own.write_text("permitted_force: 20.0\n")
-    with pytest.raises(SettingsError, match="planner and observer read different contact budgets"):
-        check_parameters(written(planner={"contact_budget": str(own)}))
-    check_parameters(written(planner={"contact_budget": str(own)}, observer={"contact_budget": str(own)}))
-
-
 def test_what_is_given_on_top_of_the_file_counts(written):
-    file = written(adapter={"hold_after": 0.003})
+    file = written()
     rate = {name: {"state_rate": 500.0} for name in STACK}
     check_parameters(file, rate)
-    with pytest.raises(SettingsError, match=r"hold_after = .*: expected at least two periods"):
-        check_parameters(file, {**rate, "adapter": {"state_rate": 500.0}})
     with pytest.raises(SettingsError, match=r"state_rate = .* for the observer"):
         check_parameters(file, {**rate, "observer": {}})
 

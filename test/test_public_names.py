@@ -18,7 +18,7 @@ def test_each_can_be_imported_and_type_checkers_see_the_same():
         if isinstance(value, type):
             assert value.__name__ == name and value.__doc__
         assert name in dir(contact_reach_ros)
-    checked, _ = Path(contact_reach_ros.__file__).read_text().split("_WHERE = {")
+    checked, _ = Path(contact_reach_ros.__file__).read_text().split("_NAMES = {")
     (block,) = (part for part in ast.parse(checked.rsplit("\n\n", 1)[0]).body if isinstance(part, ast.If))
     seen = [alias.asname or alias.name for line in block.body for alias in line.names]
     assert sorted(seen) == sorted(names)

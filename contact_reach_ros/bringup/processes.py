@@ -114,7 +114,7 @@ def processes(options: BringupOptions, namespace: str = "/") -> list[Process]:
     elif changed["driver"]:
         raise SettingsError(f"overrides of the driver, {', '.join(changed['driver'])}: this node is not started here")
     table.append(Process(OBSERVER, {**time, **changed[OBSERVER]}))
-    # The controller watches itself with the observer's.
+    # The controller watches itself with the observer's, and the planner has its contact budget.
     watch = {f"{OBSERVER}:{name}": value for name, value in changed[OBSERVER].items()}
     behind = {"supervision.adapter": True} if adapted else {}
     table.append(Process("controller", {**time, **watch, **behind, **changed["controller"]}))
@@ -124,7 +124,7 @@ def processes(options: BringupOptions, namespace: str = "/") -> list[Process]:
     obstacles = _of_scene(scene, options.parameter_file, namespace) if options.driver else {}
     # With a deadline on the wall's clock plans would depend on how busy the machine is.
     unhurried = {"planning.deadline": 0.0} if options.lockstep else {}
-    planning = {**time, **obstacles, **gains, **unhurried, **changed["planner"]}
+    planning = {**time, **obstacles, **gains, **watch, **unhurried, **changed["planner"]}
     table.append(Process("planner", planning, early=True))
     given = {process.name: process.parameters for process in table}
     check_parameters(options.parameter_file, given, options.robot, namespace)

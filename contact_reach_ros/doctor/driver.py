@@ -33,8 +33,6 @@ def listen(options: BringupOptions, arm: Arm, period: float, seconds: float) -> 
     """
     kind, file = options.adapter, options.parameter_file
     chosen: Any = make_settings(parameters_in(file, ADAPTER), ADAPTER_SECTIONS, arm, str(file))[kind]
-    # Nothing is switched here.
-    settings = dataclasses.replace(chosen, **({"component": ""} if kind == LBR else {"brakes": False}))
     target: LbrTarget | EffortTarget
     heard: list[tuple[Any, int]] = []
     with bare_node(DOCTOR, options.discovery) as node:
@@ -43,11 +41,13 @@ def listen(options: BringupOptions, arm: Arm, period: float, seconds: float) -> 
         def take(state: Any) -> None:
             heard.append((state, client.inbox.received_ns))
 
+        # Nothing is switched here.
         if kind == LBR:
-            target = LbrTarget(node, arm, settings, period)
+            target = LbrTarget(node, arm, dataclasses.replace(chosen, component=""), period)
             target.listen(client.inbox, take, stack.ANYTHING)
         else:
-            target = EffortTarget(node, arm, settings, carries=True)
+            effort = chosen.effort if kind == FRANKA else dataclasses.replace(chosen, brakes=False)
+            target = EffortTarget(node, arm, effort, carries=True)
             name = FRANKA_STATES if kind == FRANKA else topics.JOINT_STATES.name
             client.inbox.add(topics.JOINT_STATES._replace(name=name), take, stack.ANYTHING)
         client.spin(stack.SETTLED_S)

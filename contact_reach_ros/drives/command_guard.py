@@ -18,6 +18,10 @@ from contact_reach_ros.timing import NANOSECONDS
 
 COMMANDS = "adapter/commands"
 """Topic that refusals name."""
+HOLD_AFTER = 0.02
+"""Time without a command after which harmless torques are sent, s; at low rates two periods of the joint states."""
+STOP_AFTER = 0.1
+"""Time without a command after which none is passed on until `reset`, s."""
 RESUME_RAMP = 0.5
 """Time in which commands reach full authority after a silence, s, as the controller's laws at its start."""
 
@@ -36,8 +40,8 @@ class Phase(Enum):
 class CommandGuard:
     """Passes commands on, and sends harmless torques while there are none.
 
-    After `hold_after` without a command, the harmless torques are those of the compliant stop: gravity compensation and
-    damping, without damping while the joint states are silent, too. If they last until `stop_after`, a stop is latched
+    After `HOLD_AFTER` without a command, the harmless torques are those of the compliant stop: gravity compensation and
+    damping, without damping while the joint states are silent, too. If they last until `STOP_AFTER`, a stop is latched
     until `reset`. After a silence commands get their authority back within `RESUME_RAMP`.
 
     Times `clock_ns` are integer nanoseconds of the watchdogs' clock, which must never jump. When nobody called `watch`
@@ -55,7 +59,7 @@ class CommandGuard:
     def __init__(
         self, arm: Arm, settings: AdapterSettings, period: float = 0.001, hold: Sequence[float] | None = None
     ) -> None:
-        """Raise `SettingsError` if `hold_after` is less than two periods.
+        """Set up the guard, which sends nothing yet.
 
         Parameters
         ----------
@@ -66,7 +70,6 @@ class CommandGuard:
         hold
             Torque (n,) up to which harmless torques hold a joint, N m; the hand-over limits of the arm by default.
         """
-        settings.check_period(period)
         self.phase = Phase.WAITING
         self.stop_reason = ""
         self._arm = arm
@@ -74,8 +77,8 @@ class CommandGuard:
         constants = make_constants(arm, limits=settings.limits, supervision=settings.stop, period=period)
         self._stop = PassiveStop(arm, constants, hold)
         self._period = period
-        self._hold_ns = round(settings.hold_after * NANOSECONDS)
-        self._stop_ns = round(settings.stop_after * NANOSECONDS)
+        self._hold_ns = round(max(HOLD_AFTER, 2.0 * period) * NANOSECONDS)
+        self._stop_ns = round(STOP_AFTER * NANOSECONDS)
         self._ramp_ns = round(RESUME_RAMP * NANOSECONDS)
         self._repeat_ns = round(2.0 * period * NANOSECONDS)
         self._state: JointState | None = None

@@ -42,7 +42,7 @@ class FrankaTarget(EffortTarget):
         """Raise `SettingsError` if the arm has not one joint for each reflex, or franka_msgs is needed and missing."""
         if arm.n != len(REFLEX_TORQUES):
             raise SettingsError(f"kind = franka: {arm.name} has {arm.n} joints; expected {len(REFLEX_TORQUES)}")
-        super().__init__(node, arm, settings, carries=False)
+        super().__init__(node, arm, settings.effort, carries=False)
         self._unset = ""
         """Why the reflexes are not set; empty when they are."""
         self._setter: RepeatedRequest | None = None

@@ -19,7 +19,7 @@ FRANKA_STATES = "franka/joint_states"
 
 @dataclass(frozen=True)
 class AdapterSettings(Settings):
-    """When commands count as silent, and what is sent then."""
+    """What takes the commands, and what is sent where there are none."""
 
     kind: str = setting(
         EFFORT,
@@ -27,39 +27,16 @@ class AdapterSettings(Settings):
         "arm of Franka's behind franka_ros2",
         choices=KINDS,
     )
-    hold_after: float = setting(
-        0.02, "time without a command after which harmless torques are sent", unit="s", minimum=0.002, maximum=1.0
-    )
-    stop_after: float = setting(
-        0.1,
-        "time without a command after which none is passed on any more until ~/reset",
-        unit="s",
-        minimum=0.005,
-        maximum=5.0,
-    )
     gravity_compensation: bool = setting(
         True, "carry the arm; false for arms that compensate gravity themselves, as in the controller"
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.hold_after >= self.stop_after:
-            raise SettingsError(
-                f"AdapterSettings.hold_after = {self.hold_after:g}: expected less than stop_after, "
-                f"{self.stop_after:g} s"
-            )
         if self.kind != EFFORT and self.gravity_compensation:
             raise SettingsError(
                 f"AdapterSettings.gravity_compensation = true: expected false for kind = {self.kind}, whose drive "
                 "carries the arm; set supervision.gravity_compensation of the controller, too"
-            )
-
-    def check_period(self, period: float) -> None:
-        """Raise `SettingsError` if `hold_after` is less than two periods of the joint states, s."""
-        if self.hold_after < 2.0 * period:
-            raise SettingsError(
-                f"hold_after = {self.hold_after:g}: expected at least two periods of the joint states, "
-                f"{2.0 * period:g} s: commands come no faster"
             )
 
     @property
@@ -117,15 +94,20 @@ class LbrSettings(Settings):
 
 
 @dataclass(frozen=True)
-class FrankaSettings(EffortSettings):
+class FrankaSettings(Settings):
     """An effort controller of ros2_control on franka_ros2, and the reflexes of the arm below it."""
 
-    brakes: bool = setting(True, "the drive holds the arm when the controller is deactivated, which a stop does")
+    controller: str = setting("effort_controller", "name of the controller; it takes torques on <name>/commands")
     set_reflexes: bool = setting(
         True,
         "set these reflexes in the arm before anything is passed on, which needs franka_msgs; false if they are set "
         "already",
     )
+
+    @property
+    def effort(self) -> EffortSettings:
+        """Those of the effort controller; a stop deactivates it, and the arm holds itself."""
+        return EffortSettings(self.controller)
 
 
 ADAPTER_SECTIONS: Sections = {

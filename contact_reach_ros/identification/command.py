@@ -173,7 +173,6 @@ def write(found: Identification, base: Path, file: Path, source: str) -> tuple[P
     momentum = {name: list(getattr(found.momentum, name)) for name in _FOUND}
     values: dict[str, dict[str, Any]] = {
         "observer": {"momentum": momentum, "contact_budget": str(budget_file)},
-        "planner": {"contact_budget": str(budget_file)},
     }
     if found.tool is not None:
         values["/**"] = {"tool": _plain(found.tool)}

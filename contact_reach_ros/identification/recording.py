@@ -10,7 +10,7 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 
 from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.observer.settings import MomentumSettings
+from contact_reach_ros.observer.settings import COULOMB_SPEED, MomentumSettings
 from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS
 
 LEAST_S = 10.0
@@ -121,7 +121,7 @@ def make_samples(recording: Recording, momentum: MomentumSettings) -> Samples:
             continue
         q, v = (sosfiltfilt(sos, late(_evenly(piece, values)), axis=0) for values in (piece.q, piece.v))
         torque = sosfiltfilt(sos, _evenly(piece, piece.torque), axis=0)
-        direction = sosfiltfilt(sos, np.tanh(v / momentum.coulomb_speed), axis=0)
+        direction = sosfiltfilt(sos, np.tanh(v / COULOMB_SPEED), axis=0)
         a = np.gradient(v, period, axis=0)
         part = slice(edge, -edge, every)
         parts = (q[part], v[part], a[part], torque[part], direction[part])

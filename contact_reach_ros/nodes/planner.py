@@ -29,6 +29,7 @@ from contact_reach_ros.messages.serialized import JointStateReader, decode
 from contact_reach_ros.messages.values import goal_values, nanoseconds, quaternion, vector
 from contact_reach_ros.nodes.planner_output import PlannerOutput
 from contact_reach_ros.observer.budget import BUDGET, load_budget
+from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.planner import Planner
@@ -64,7 +65,8 @@ class PlannerNode(ManagedNode):
         self.follow(topics.JOINT_STATES, self._on_state, hurried=False)
         settings: PlannerNodeSettings = self.settings[""]
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
-        self.settings[BUDGET] = load_budget(settings.contact_budget).resolve(self.arm)
+        observer = settings_of(self.ARGUMENTS, OBSERVER, OBSERVER_SECTIONS, self.arm)[""]
+        self.settings[BUDGET] = load_budget(observer.contact_budget).resolve(self.arm)
         # Plans hold for this controller only.
         self.settings |= settings_of(self.ARGUMENTS, CONTROLLER, CONTROLLER_SECTIONS, self.arm)
         self._planner = Planner(
@@ -209,8 +211,7 @@ class PlannerNode(ManagedNode):
                 return self._frames.publish_goal(message)
             pose, kept = message.pose, self.settings[""].goal_orientation
             orientation = quaternion(pose.orientation) if kept == POSE else kept
-            frame = message.header.frame_id
-            goal = Goal(vector(pose.position), orientation, frame=frame)
+            goal = Goal(vector(pose.position), orientation)
             for name, why in self._stops.items():
                 # The arm would move as soon as it is reset.
                 raise InputError(f"goal: {name} has stopped the arm ({why}); first: contact-reach reset")

@@ -23,11 +23,13 @@ from contact_reach_ros.messages.safety_state import ERROR
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import efforts, places_of
 from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.ros.client import NOTHING, Client
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
-from contact_reach_ros.ros.interfaces import VIEWER
+from contact_reach_ros.ros.interfaces import OBSERVER, VIEWER
 from contact_reach_ros.ros.managed_node import ManagedNode
+from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import in_namespace, run
 from contact_reach_ros.settings import DEFAULT_PARAMETERS, as_arguments
 from contact_reach_ros.viewer.access import call, serve
@@ -64,7 +66,8 @@ class ViewerNode(ManagedNode):
         else:
             player, arm = None, self.arm
             self._listen()
-        budget = load_budget(settings.contact_budget).resolve(arm)
+        observer = settings_of(self.ARGUMENTS, OBSERVER, OBSERVER_SECTIONS, self.arm)[""]
+        budget = load_budget(observer.contact_budget).resolve(arm)
         self._server = serve(settings.port, TITLE)
         self._page = call(self._server, lambda: Page(self._server, arm, budget, self.live, self, player))
         port = self._server.get_port()

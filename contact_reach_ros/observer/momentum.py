@@ -9,7 +9,7 @@ from scipy.linalg import lapack
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.observer.settings import MomentumSettings
+from contact_reach_ros.observer.settings import COULOMB_SPEED, MomentumSettings
 from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS, PAUSE
 
 _IDENTITY = np.eye(6)
@@ -105,7 +105,7 @@ class MomentumObserver:
         if self.settings.gravity_in_torque:
             input_torque -= model.gravity
         if self._coulomb is not None:
-            input_torque -= self._coulomb * np.tanh(v / self.settings.coulomb_speed)
+            input_torque -= self._coulomb * np.tanh(v / COULOMB_SPEED)
         if self._offset is not None:
             input_torque -= self._offset
         external, filtered = (momentum - previous) / elapsed - input_torque, None

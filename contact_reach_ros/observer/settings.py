@@ -8,6 +8,9 @@ from typing import Any
 
 from contact_reach_ros.settings import Sections, Settings, setting
 
+COULOMB_SPEED = 0.02
+"""Speed at which the expected dry friction has reached 76 %, rad/s, so that it does not jump when the sign changes."""
+
 
 @dataclass(frozen=True)
 class MomentumSettings(Settings):
@@ -30,13 +33,6 @@ class MomentumSettings(Settings):
     )
     coulomb_friction: tuple[float, ...] = setting(
         None, "dry friction that the model expects", unit="Nm", minimum=0.0, maximum=50.0, per_joint=True
-    )
-    coulomb_speed: float = setting(
-        0.02,
-        "speed at which the expected dry friction has reached 76 %, so that it does not jump when the sign changes",
-        unit="rad/s",
-        minimum=1e-4,
-        maximum=1.0,
     )
     torque_offset: tuple[float, ...] = setting(
         None,

@@ -24,6 +24,10 @@ from contact_reach_ros.world.collision import check_goal
 from contact_reach_ros.world.goal import Target, Task
 from contact_reach_ros.world.spheres import Spheres
 
+GOAL_TIMEOUT = 2.0
+"""Age beyond which a goal is refused, and gap in the joint states that ends the goal in force, s: nobody expects the
+arm to move for either."""
+
 
 class KnownObstacles:
     """Obstacles that go stale.
@@ -213,7 +217,7 @@ class Planner:
         Raises
         ------
         InputError
-            If there is no joint state yet, or the goal is older than `goal_timeout`.
+            If there is no joint state yet, or the goal is older than `GOAL_TIMEOUT`.
         """
         if self.state is None:
             raise InputError(
@@ -221,11 +225,11 @@ class Planner:
                 "until the planner reports 'waiting for a goal', and send the goal again"
             )
         age = (self.state.stamp_ns - sent_ns) / NANOSECONDS
-        if sent_ns and age > self.settings.goal_timeout:
+        if sent_ns and age > GOAL_TIMEOUT:
             raise InputError(
-                f"goal: its stamp is {age:.3f} s older than the last joint state; expected goal_timeout, "
-                f"{self.settings.goal_timeout:g} s, at most: send it again with the present time, or with the stamp 0 "
-                "for now; if it is new, let its sender's clock agree with the joint states'"
+                f"goal: its stamp is {age:.3f} s older than the last joint state; expected {GOAL_TIMEOUT:g} s at "
+                "most: send it again with the present time, or with the stamp 0 for now; if it is new, let its "
+                "sender's clock agree with the joint states'"
             )
         return self.state
 
@@ -282,7 +286,7 @@ class Planner:
     def request(self, state: JointState) -> Request | None:
         """Take a joint state; returns what to plan from it, None while no plan is due.
 
-        After a gap of more than `goal_timeout` in the states the goal is withdrawn: nobody expects the arm to go on.
+        After a gap of more than `GOAL_TIMEOUT` in the states the goal is withdrawn: nobody expects the arm to go on.
 
         Raises
         ------
@@ -297,8 +301,8 @@ class Planner:
         gap, self._busy_ns = (stamp_ns - known_ns) / NANOSECONDS, 0
         self.state = state
         self.obstacles.advance(stamp_ns)
-        if self.goal is not None and gap > self.settings.goal_timeout:
-            self.withdraw(f"no joint state came for {gap:.1f} s, more than goal_timeout; send the goal again")
+        if self.goal is not None and gap > GOAL_TIMEOUT:
+            self.withdraw(f"no joint state came for {gap:.1f} s, more than {GOAL_TIMEOUT:g} s; send the goal again")
         self._follow_progress(state)
         if self.goal is None or stamp_ns < self.due_ns:
             return None

@@ -154,13 +154,6 @@ class ReplanningSettings(Settings):
         maximum=1.0,
         changeable=True,
     )
-    goal_timeout: float = setting(
-        2.0,
-        "age of a goal beyond which it is refused, and gap in the joint states that ends the goal in force",
-        unit="s",
-        minimum=0.1,
-        maximum=3600.0,
-    )
     max_obstacle_age: float = setting(
         0.5,
         "age of the obstacles beyond which goals and plans are refused, 0 for none",
@@ -204,7 +197,6 @@ class PlannerNodeSettings(ReplanningSettings):
         "orientation of the goal: held as it is when the goal arrives, that of the pose, or free",
         choices=ORIENTATIONS,
     )
-    contact_budget: str = setting("", "contact budget YAML; the package's own when empty")
     max_spheres: int = setting(
         1, "nearest obstacle spheres that a plan takes into account; 0 plans without contact", minimum=0, maximum=64
     )

@@ -51,8 +51,8 @@ SECTIONS: Mapping[str, Sections] = {
 }
 """What the nodes that are re-executed record, by parameter prefix."""
 
-_OF_BAGS = (ROBOT_DIGEST, ROBOT_TABLE)
-"""What nodes report of their arm, beside parameters."""
+_OF_BAGS = (ROBOT_DIGEST, ROBOT_TABLE, "contact_budget")
+"""What nodes report of their arm, beside parameters, and the file that the planner's budget once came from."""
 
 _PLAIN = tuple(name for name in TOPICS.values() if name != JOINT_STATES)
 """Topics of few messages, which are decoded when they are asked for."""
@@ -271,17 +271,20 @@ def recorded_sections(node: str, recorded: Mapping[str, Any], arm: Arm, bag: obj
         If a name or a value is none of this version's: the node may have worked in another way. `bag` is named.
     """
     try:
-        return make_settings(_still_known(recorded), SECTIONS[node], arm, f"bag '{bag}', settings of the {node}")
+        return make_settings(
+            _still_known(node, recorded, arm), SECTIONS[node], arm, f"bag '{bag}', settings of the {node}"
+        )
     except SettingsError as error:
         raise BagError(f"{error}; use the version that recorded the bag") from error
 
 
-def _still_known(recorded: Mapping[str, Any]) -> dict[str, Any]:
+def _still_known(node: str, recorded: Mapping[str, Any], arm: Arm) -> dict[str, Any]:
     """Recorded values without those that are constants now, and without what nodes report beside parameters."""
+    known = known_parameters(SECTIONS[node], arm)
     return {
         name: value
         for name, value in recorded.items()
-        if name not in _OF_BAGS and not removed_parameter(name.removeprefix(f"{BUDGET}."))
+        if name in known or not (name in _OF_BAGS or removed_parameter(name.removeprefix(f"{BUDGET}.")))
     }
 
 
@@ -299,7 +302,7 @@ def changed_sections(node: str, recorded: Mapping[str, Any], arm: Arm, file: Pat
         raise SettingsError(f"{file}: has nothing for controller or observer; expected '<node>: ros__parameters: ...'")
     # The controller watches itself with the observer's settings.
     own = changes[node] | changes["observer"]
-    made = make_settings({**_still_known(recorded), **own}, SECTIONS[node], arm, f"{file}: {node}")
+    made = make_settings({**_still_known(node, recorded, arm), **own}, SECTIONS[node], arm, f"{file}: {node}")
     if "contact_budget" in own:
         made[BUDGET] = load_budget(own["contact_budget"]).resolve(arm)
     return made

@@ -81,7 +81,7 @@ def place(section: ObstacleSettings, arm: Arm, path: Array, random: np.random.Ge
 
 def place_ball(ball: BallSettings, arm: Arm, path: Array, random: np.random.Generator) -> Array | None:
     """A centre (3,) in the way of elbow or forearm on the path, but not of hand or start; None if none fits."""
-    starts, ends = path_segments(arm, path)
+    starts, ends = capsule_segments(arm, path)
     middle, hand = on_middle(arm), on_hand(arm)
     standing = shape_segments(arm, path[:1])
     scale = arm.reach / _REACH
@@ -117,7 +117,7 @@ def place_walls(walls: WallSettings, arm: Arm, path: Array, random: np.random.Ge
     The start is clear of the walls, the target lies behind them, elbow or forearm would push into them on the path,
     and no posture that holds the target pose is free of contact, so that there is no collision-free path.
     """
-    starts, ends = path_segments(arm, np.concatenate([path[:-1:_PATH_STEP], path[-1:]]))
+    starts, ends = capsule_segments(arm, np.concatenate([path[:-1:_PATH_STEP], path[-1:]]))
     holding = holding_segments(arm, path[-1])
     hand, middle = on_hand(arm), on_middle(arm)
     points = np.concatenate([starts[:, hand], ends[:, hand]], axis=1)
@@ -231,12 +231,6 @@ def on_middle(arm: Arm) -> NDArray[np.bool_]:
     return (capsule_links(arm) >= min(_FIRST_MIDDLE_LINK, _wrist(arm) - 1)) & ~on_hand(arm)
 
 
-def path_segments(arm: Arm, path: Array) -> tuple[Array, Array]:
-    """Capsule segments along a path (N, n), rad: (N, C, 3) each, m."""
-    starts, ends = shape_segments(arm, path)
-    return starts[:, moving(arm)], ends[:, moving(arm)]
-
-
 def swivelled_segments(arm: Arm, q: Array, angles: Array) -> tuple[Array, Array]:
     """The capsules in the postures that hold the flange pose of `q` (n,), (A, C, 3) each.
 
@@ -269,7 +263,7 @@ def holding_segments(arm: Arm, q: Array) -> tuple[Array, Array]:
         np.linalg.norm(np.cross(rotations[joint][:, 2], origins[joint] - wrist)) < _MEETING for joint in (-4, -2)
     ):
         return swivelled_segments(arm, q, _SWIVELS)
-    return path_segments(arm, np.concatenate([q[None], postures_at(arm, origins[-1], rotations[-1])]))
+    return capsule_segments(arm, np.concatenate([q[None], postures_at(arm, origins[-1], rotations[-1])]))
 
 
 def postures_at(arm: Arm, position: Array, rotation: Array) -> Array:

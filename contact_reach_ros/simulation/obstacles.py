@@ -27,13 +27,14 @@ _CONTACT_DAMPING = 10.0
 _FIXED_MASS = 0.01
 """What fixed spheres have in their contacts for a mass, kg: so little that the arm's does not count."""
 
+_RELAXATION = 0.02
+"""Damping of a stem's joint over its stiffness, s: the time in which a bent stem returns."""
+BEND_LIMIT = 0.8
+"""Greatest bend at such a joint, rad."""
+
 _RIGID: dict[str, str] = {"condim": "3", "solref": "0.004 1.0", "solimp": "0.95 0.99 0.001 0.5 2.0"}
 """Critically damped within 4 ms, four steps of the simulation: some 100,000 N/m at the hand."""
 _RIGID_FRICTION = 0.5
-
-OUT_OF_REACH = (0.0, 0.0, -100.0)
-"""Position of the unknown sphere where nothing touches it, m."""
-_UNKNOWN_FRICTION = 0.2
 
 
 def obstacle_bodies(obstacle: Obstacle, index: int, scale: float) -> list[Element]:
@@ -64,9 +65,9 @@ def _stems(obstacle: Obstacle, index: int, scale: float) -> list[Element]:
     rigid, bodies = _contact(scale * material.contact_stiffness, _FIXED_MASS), []
     bend = {
         "stiffness": repr(scale * bending.stiffness),
-        "damping": repr(scale * bending.damping),
+        "damping": repr(scale * _RELAXATION * bending.stiffness),
         "limited": "true",
-        "range": numbers((-bending.limit, bending.limit)),
+        "range": numbers((-BEND_LIMIT, BEND_LIMIT)),
     }
     for stem, masses, fruit in zip(bending.stems, bending.masses, bending.fruits, strict=True):
         root, first = obstacle.rest[list(stem[:2])]
@@ -100,13 +101,6 @@ def _capsule(
     geom.set("type", "capsule")
     geom.set("fromto", numbers((0.0, 0.0, 0.0, *end)))
     return geom
-
-
-def unknown_sphere(radius: float, stiffness: float) -> Element:
-    """A fixed sphere out of reach that can be placed anywhere while the simulation runs: radius, m, stiffness, N/m."""
-    body = Element("body", name="unknown", pos=numbers(OUT_OF_REACH), mocap="true")
-    body.append(_sphere("unknown", radius, 0.0, _UNKNOWN_FRICTION, _contact(stiffness, _FIXED_MASS)))
-    return body
 
 
 def soften_fixed(model: mujoco.MjModel) -> None:

@@ -5,26 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from enum import Enum
+from xml.etree.ElementTree import Element
 
 import mujoco
 import numpy as np
 
 from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.arm.assumptions import inertias_at_home
-from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA, TIP_SITE, build_mjcf
-from contact_reach_ros.simulation.obstacles import (
-    OUT_OF_REACH,
-    Foam,
-    obstacle_bodies,
-    rigid_geoms,
-    self_contacts,
-    soften_fixed,
-    unknown_sphere,
-)
-from contact_reach_ros.simulation.settings import TICK, TICK_NS, JointSettings
+from contact_reach_ros.arm.mjcf import TIP_SITE, build_mjcf
+from contact_reach_ros.simulation.obstacles import Foam, obstacle_bodies, rigid_geoms, self_contacts, soften_fixed
+from contact_reach_ros.simulation.settings import TICK, TICK_NS
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import rest_positions
 
+FRICTION = (0.3, 0.2)
+"""Viscous, N m s/rad, and dry friction of a joint, N m, which controller and observer do not know; the mismatch of a
+scene multiplies it."""
 POSITION_NOISE, VELOCITY_NOISE, TORQUE_NOISE = 1e-5, 1e-3, 0.05
 """Standard deviations of a good arm's sensors, rad, rad/s and N m; the mismatch of a scene multiplies them."""
 WEAK = 10.0
@@ -73,14 +69,14 @@ class Plant:
     def __init__(
         self,
         scene: Scene,
-        joints: JointSettings,
+        friction: tuple[float, float] = FRICTION,
         noise_seed: int | None = None,
-        unknown: tuple[float, float] | None = None,
+        others: Sequence[Element] = (),
     ) -> None:
         """Build the simulation at the scene's start, with its mismatch.
 
-        `noise_seed`, by default `scene.seed`, seeds the sensor noise. `unknown` is radius, m, and stiffness, N/m, of a
-        sphere for `place_unknown`.
+        `noise_seed`, by default `scene.seed`, seeds the sensor noise. `others` are bodies of MuJoCo's besides the
+        scene's.
         """
         self.arm = scene.arm
         mismatch = scene.mismatch
@@ -88,13 +84,11 @@ class Plant:
         # What bends comes last: the movable spheres of all others are neighbours in MuJoCo's arrays.
         for index, obstacle in sorted(enumerate(scene.true_obstacles), key=lambda each: each[1].bending is not None):
             bodies += obstacle_bodies(obstacle, index, scene.foam_scale)
-        if unknown is not None:
-            bodies.append(unknown_sphere(*unknown))
         self.model = mujoco.MjModel.from_xml_string(
             build_mjcf(
                 scene.arm,
                 mismatch.inertia_set,
-                [*bodies, *rigid_geoms(scene.environment)],
+                [*bodies, *others, *rigid_geoms(scene.environment)],
                 mismatch.payload,
                 self_contacts(scene.arm),
             )
@@ -107,7 +101,7 @@ class Plant:
         self.actuation = Actuation.BRAKED
         self.steps = 0
         self.scene = scene
-        self._joints = joints
+        self._viscous, self._coulomb = friction
         self._friction_scale = mismatch.friction_scale
         limits, inertias = scene.arm.torque_limits, inertias_at_home(scene.arm)
         self._share = np.minimum(limits / WEAK, 1.0)
@@ -176,8 +170,10 @@ class Plant:
         if self._foam is not None:
             dofs = self._obstacles
             data.qfrc_applied[dofs] = self._foam.forces(data.qpos[dofs])
-        if self._pushes:
-            self._apply_pushes()
+        for link, force, point in self._pushes:
+            body = data.body(link)
+            place = body.xpos + body.xmat.reshape(3, 3) @ point
+            mujoco.mj_applyFT(self.model, data, force, np.zeros(3), place, body.id, data.qfrc_applied)
         mujoco.mj_step(self.model, data)
         self.steps += 1
 
@@ -237,52 +233,16 @@ class Plant:
             count += len(obstacle.rest)
         return sites, spheres, np.reshape(shifts, (-1, 3))
 
-    def scale_friction(self, factor: float) -> None:
-        """Multiply both joint frictions by a factor, relative to those of the scene."""
-        self._friction_scale = factor * self.scene.mismatch.friction_scale
-        self._apply_joint_settings()
-
-    def set_payload(self, mass: float) -> None:
-        """Set a mass, kg, at the flange, in addition to the scene's payload and at the same place."""
-        model = self.model
-        body = model.body(self.scene.arm.tip_frame).id
-        total = self.scene.mismatch.payload + mass
-        if total == model.body_mass[body]:
-            return
-        model.body_mass[body] = total
-        model.body_inertia[body] = PAYLOAD_INERTIA * total
-        model.body_ipos[body] = PAYLOAD_CENTER
-        # Otherwise MuJoCo would take the centre of mass for the origin of a body that was compiled without a mass.
-        model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-        soften_fixed(model)
-
     def set_pushes(self, pushes: Sequence[tuple[str, Array, Array]]) -> None:
         """Replace the external forces: link, force (3,), N, base frame, and point (3,), m, in the frame of the link."""
         self._pushes = pushes
-        self.data.xfrc_applied[:] = 0.0
-
-    def place_unknown(self, position: Array | None) -> None:
-        """Place the unknown sphere at `position` (3,), m, base frame; None moves it out of reach again."""
-        if self.model.nmocap:
-            self.data.mocap_pos[0] = OUT_OF_REACH if position is None else position
-
-    def _apply_pushes(self) -> None:
-        data = self.data
-        data.xfrc_applied[:] = 0.0
-        for link, force, point in self._pushes:
-            body = self.model.body(link).id
-            # MuJoCo applies the force at the centre of mass.
-            lever = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point - data.xipos[body]
-            data.xfrc_applied[body, :3] += force
-            data.xfrc_applied[body, 3:] += np.cross(lever, force)
 
     def _apply_joint_settings(self) -> None:
-        joints, scale = self._joints, self._friction_scale * self._share
+        scale = self._friction_scale * self._share
         damping, friction = {
-            Actuation.COMMANDED: (scale * joints.viscous_friction, scale * joints.coulomb_friction),
-            Actuation.DAMPED_HOLD: (HOLD_DAMPING, scale * joints.coulomb_friction),
-            Actuation.BRAKED: (scale * joints.viscous_friction, BRAKE_TORQUE),
+            Actuation.COMMANDED: (scale * self._viscous, scale * self._coulomb),
+            Actuation.DAMPED_HOLD: (HOLD_DAMPING, scale * self._coulomb),
+            Actuation.BRAKED: (scale * self._viscous, BRAKE_TORQUE),
         }[self.actuation]
         # MuJoCo integrates joint damping implicitly, so the damped hold is stable whatever the inertia.
         self.model.dof_damping[self._arm] = damping

@@ -6,7 +6,7 @@ from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.plant import Plant
-from contact_reach_ros.simulation.settings import TICK, TICK_NS, JointSettings, WatchdogSettings, check_period
+from contact_reach_ros.simulation.settings import TICK, TICK_NS, WatchdogSettings, check_period
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres, obstacle_spheres
 
@@ -34,7 +34,7 @@ class SimulatedRobot:
         watchdog: WatchdogSettings | None = None,
         noise_seed: int | None = None,
         period: float = TICK,
-        unknown: tuple[float, float] | None = None,
+        plant: Plant | None = None,
     ) -> None:
         """Build the robot at the scene's start.
 
@@ -48,8 +48,8 @@ class SimulatedRobot:
             Seed of sensor noise; None for the scene's.
         period
             Time between joint states, s; the physics still advances at 1 kHz.
-        unknown
-            As for `Plant`.
+        plant
+            The physics of the scene; None for `Plant`.
 
         Raises
         ------
@@ -58,7 +58,7 @@ class SimulatedRobot:
         """
         self._ticks = check_period(period)
         self.scene = scene
-        self.plant = Plant(scene, JointSettings(), noise_seed, unknown)
+        self.plant = plant or Plant(scene, noise_seed=noise_seed)
         self.drive = Drive(self.plant, watchdog or WatchdogSettings())
         self.start_ns = 0
         has_mesh = any(obstacle.is_deformable for obstacle in scene.obstacles)

@@ -25,19 +25,6 @@ def check_period(period: float) -> int:
 
 
 @dataclass(frozen=True)
-class JointSettings:
-    """Joint friction, which controller and observer do not know; the mismatch of a scene multiplies it.
-
-    Joints whose torque limit is below 10 N m have less in proportion.
-    """
-
-    viscous_friction: float = 0.3
-    """N m s/rad."""
-    coulomb_friction: float = 0.2
-    """Dry friction, N m."""
-
-
-@dataclass(frozen=True)
 class WatchdogSettings(Settings):
     """When the drive closes the brakes by itself."""
 

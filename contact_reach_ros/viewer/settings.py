@@ -18,7 +18,6 @@ class ViewerSettings(Settings):
 
     port: int = setting(8080, "port of 127.0.0.1 to listen on; 0 takes a free one", minimum=0, maximum=65535)
     bag: str = setting("", "bag to show instead of the running stack")
-    contact_budget: str = setting("", "contact budget YAML; the package's own when empty")
 
     def page_address(self, port: int) -> str:
         """URL of the page for browsers on this machine."""

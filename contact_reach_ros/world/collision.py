@@ -61,7 +61,7 @@ def nearest(arm: Arm, q: Array, environment: Environment) -> list[Nearest]:
     if not names:
         return []
     own = pair_distances(arm, q, np.array(pairs)) if pairs else np.full((len(q), 0), np.inf)
-    starts, ends = (points[:, moving(arm)] for points in shape_segments(arm, q))
+    starts, ends = capsule_segments(arm, q)
     radii = shape_radii(arm)[moving(arm)]
     middles, slack = _middle_distances(environment, starts, ends)
     limit = np.minimum((middles - radii).min(axis=(0, 2), initial=np.inf), own.min(axis=1, initial=np.inf))
@@ -111,9 +111,10 @@ def body_distances(body: RigidBody, starts: Array, ends: Array) -> Array:
 
 
 def capsule_segments(arm: Arm, q: Array) -> tuple[Array, Array]:
-    """Start and end points of the moving links' capsules at `q` (n,), rad, in the base frame, (C, 3) each, m."""
-    starts, ends = shape_segments(arm, q[None])
-    return starts[0, moving(arm)], ends[0, moving(arm)]
+    """Start and end points of the moving links' capsules at `q` (..., n), rad, base frame, (..., C, 3) each, m."""
+    starts, ends = (points[:, moving(arm)] for points in shape_segments(arm, q.reshape(-1, arm.n)))
+    shape = (*q.shape[:-1], *starts.shape[1:])
+    return starts.reshape(shape), ends.reshape(shape)
 
 
 def overlap_depths(arm: Arm, starts: Array, ends: Array, centers: Array, radius: float | Array) -> Array:

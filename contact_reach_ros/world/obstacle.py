@@ -64,10 +64,6 @@ class Bending:
     """Mass at the end of each stem in addition, which touches nothing, kg."""
     stiffness: float
     """Of a joint, about both axes across the link, N m/rad."""
-    damping: float
-    """N m s/rad."""
-    limit: float
-    """rad."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,15 @@ _FRUIT = "fruit"
 _FRUIT_DISTANCE = 0.045
 """From the end of a stem to the middle of its fruit, m: a gripper closes around the fruit, not around the stem."""
 _MOST_LINKS = 20
-_STIFFEST = 1e4
-"""Stiffness of a stem at the end of its first link that moves, N/m: more is as good as fixed."""
+
+_LINK_LENGTH, _LEAF_LENGTH = 0.05, 0.095
+"""As in the paper's code, m."""
+_LINK_MASS, _LEAF_MASS, _FRUIT_MASS = 0.004, 0.005, 0.02
+"""Of herbaceous stems 10 mm thick, and a small fruit, kg."""
+_MOST_RIGIDITY = 1.25
+"""N m²: 10,000 N/m at the end of the first link that moves, and more is as good as fixed."""
+_NODE_DAMPING = 1.0
+"""In the planner, N s/m: nodes follow the arm almost at once."""
 
 
 class Stem(NamedTuple):
@@ -52,32 +59,13 @@ class StemsSettings(ObstacleSettings):
         0.0, "greatest turn about the vertical, drawn by the seed", unit="rad", minimum=0.0, maximum=3.2
     )
     radius: float = setting(0.005, "radius of a stem", unit="m", minimum=0.002, maximum=0.05)
-    link_length: float = setting(0.05, "length of a link", unit="m", minimum=0.02, maximum=0.3)
-    link_mass: float = setting(0.004, "mass of a link", unit="kg", minimum=0.001, maximum=1.0)
-    leaf_length: float = setting(0.095, "length of a leaf", unit="m", minimum=0.02, maximum=0.3)
-    leaf_mass: float = setting(0.005, "mass of a leaf", unit="kg", minimum=0.001, maximum=1.0)
-    fruit_mass: float = setting(0.02, "mass of a fruit", unit="kg", minimum=0.001, maximum=1.0)
-    rigidity: float = setting(0.15, "flexural rigidity of a stem", unit="N m²", minimum=0.001, maximum=5.0)
-    relaxation: float = setting(
-        0.02,
-        "damping of a joint over its stiffness: the time in which a bent stem returns",
-        unit="s",
-        minimum=0.005,
-        maximum=1.0,
-    )
-    bend_limit: float = setting(0.8, "greatest bend at a joint", unit="rad", minimum=0.05, maximum=1.5)
+    rigidity: float = setting(0.15, "flexural rigidity of a stem", unit="N m²", minimum=0.001, maximum=_MOST_RIGIDITY)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.stems:
             raise SettingsError(f"plant: stems = []: expected a list of stems such as '4 45 180 {_FRUIT}'")
         self.parsed()
-        stiffest = self.rigidity / self.link_length**3
-        if stiffest > _STIFFEST:
-            raise SettingsError(
-                f"plant: links of {self.link_length:g} m with a rigidity of {self.rigidity:g} N m² have a stiffness of "
-                f"{stiffest:.0f} N/m; expected at most {_STIFFEST:.0f} N/m: make them longer or softer"
-            )
 
     def parsed(self) -> list[Stem]:
         """The stems; raises `SettingsError` if one is not as described."""
@@ -94,29 +82,29 @@ class StemsSettings(ObstacleSettings):
 
     def goals(self, center: Array) -> Array:
         """Middles of the fruits (G, 3), m."""
-        reach = [each.links * self.link_length + _FRUIT_DISTANCE for each in self.parsed() if each.bears_fruit]
+        reach = [each.links * _LINK_LENGTH + _FRUIT_DISTANCE for each in self.parsed() if each.bears_fruit]
         directions = [each.direction for each in self.parsed() if each.bears_fruit]
         return center + np.reshape([far * way for far, way in zip(reach, directions, strict=True)], (-1, 3))
 
     @property
     def material(self) -> Material:
         """Material of the stems."""
-        return Material(self.link_mass, 0.0, _NODE_DAMPING, self.contact_stiffness, self.friction)
+        return Material(_LINK_MASS, 0.0, _NODE_DAMPING, self.contact_stiffness, self.friction)
 
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The plant with its root at `center` (3,), m: its nodes are the root and the ends of all links that move."""
         points, stems, masses = [center], [], []
         edges: list[tuple[int, int]] = []
         stiffness: list[float] = []
-        joint_stiffness = self.rigidity / self.link_length
+        joint_stiffness = self.rigidity / _LINK_LENGTH
         for stem in self.parsed():
-            ends = self.link_length * np.arange(2, stem.links + 1)
+            ends = _LINK_LENGTH * np.arange(2, stem.links + 1)
             if not stem.bears_fruit:
-                ends = np.append(ends, stem.links * self.link_length + self.leaf_length)
+                ends = np.append(ends, stem.links * _LINK_LENGTH + _LEAF_LENGTH)
             nodes = len(points) + np.arange(len(ends))
             points += [center + end * stem.direction for end in ends]
             # Every joint is where a link that moves begins.
-            joints = np.concatenate([[self.link_length], ends[:-1]])
+            joints = np.concatenate([[_LINK_LENGTH], ends[:-1]])
             levers = np.maximum(ends[:, None] - joints, 0.0)
             # A chain of springs from the root on in which each node yields as far as that of the stem does there.
             yields = (levers**2).sum(axis=1) / joint_stiffness
@@ -124,16 +112,9 @@ class StemsSettings(ObstacleSettings):
             chain = (0, *nodes.tolist())
             edges += itertools.pairwise(chain)
             stems.append(chain)
-            masses.append([self.link_mass] * (len(ends) - 1) + [self.link_mass if stem.bears_fruit else self.leaf_mass])
-        fruits = tuple(self.fruit_mass if stem.bears_fruit else 0.0 for stem in self.parsed())
-        bending = Bending(
-            stems=tuple(stems),
-            masses=tuple(map(tuple, masses)),
-            fruits=fruits,
-            stiffness=joint_stiffness,
-            damping=self.relaxation * joint_stiffness,
-            limit=self.bend_limit,
-        )
+            masses.append([_LINK_MASS] * (len(ends) - 1) + [_LINK_MASS if stem.bears_fruit else _LEAF_MASS])
+        fruits = tuple(_FRUIT_MASS if stem.bears_fruit else 0.0 for stem in self.parsed())
+        bending = Bending(tuple(stems), tuple(map(tuple, masses)), fruits, joint_stiffness)
         rest = np.array(points)
         fixed = np.arange(len(rest)) == 0
         return (
@@ -149,10 +130,6 @@ class StemsSettings(ObstacleSettings):
                 bending=bending,
             ),
         )
-
-
-_NODE_DAMPING = 1.0
-"""In the planner, N s/m: nodes follow the arm almost at once."""
 
 
 def _parsed(text: str) -> Stem:

@@ -22,8 +22,8 @@ from contact_reach_ros.arms import ARMS, load_arm
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.scenes.generate import load_scene
-from contact_reach_ros.scenes.placing import free_path, path_segments
-from contact_reach_ros.world.collision import overlap_depths
+from contact_reach_ros.scenes.placing import free_path
+from contact_reach_ros.world.collision import capsule_segments, overlap_depths
 from contact_reach_ros.world.rigid import Block, Plane, point_distances
 from contact_reach_ros.world.scene import NO_MISMATCH
 from contact_reach_ros.world.scene_file import read_scene
@@ -278,7 +278,7 @@ class TestWhereScenesStand:
             path = free_path(RobotModel(stood), scene.start, scene.target)
             np.testing.assert_allclose(link_frames(stood, path[-1])[1][-1], scene.target, rtol=0, atol=1e-3)
             for ball in scene.obstacles:
-                depth = overlap_depths(stood, *path_segments(stood, path), ball.rest, ball.radius).max()
+                depth = overlap_depths(stood, *capsule_segments(stood, path), ball.rest, ball.radius).max()
                 assert 0.019 * factor < depth < 0.051 * factor
 
     def test_a_given_target_is_in_the_base_frame(self, stood):

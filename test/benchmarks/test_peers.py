@@ -10,7 +10,6 @@ from contact_reach_ros import load_scene
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.simulation.plant import Actuation, Plant
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.spheres import rest_positions
 
 
@@ -30,7 +29,7 @@ def test_the_model_has_the_scene(name):
     soft = [geom for geom in spheres if model.geom(geom).name.startswith(name)]
     assert data.geom_xpos[soft] == pytest.approx(rest_positions(scene))
     assert set(model.geom_size[soft, 0]) == {obstacle.radius for obstacle in scene.obstacles}
-    assert data.sensor("tip").data == pytest.approx(Plant(scene, JointSettings()).tip_position)
+    assert data.sensor("tip").data == pytest.approx(Plant(scene).tip_position)
     settings = episode_settings(scene, PlanningSettings(), 10.0)
     assert settings["target"] == scene.target.tolist()
     assert settings["coordinates"] == (model.nq, model.nv)
@@ -54,7 +53,7 @@ def test_servos_hold_the_arm_without_gravity_and_follow_their_references():
 def test_sensors_show_the_contact_forces_of_the_simulation():
     scene = load_scene("ball", seed=20)
     model, data = model_of(scene)
-    plant = Plant(scene, JointSettings(viscous_friction=0.0, coulomb_friction=0.0))
+    plant = Plant(scene, friction=(0.0, 0.0))
     plant.set_actuation(Actuation.COMMANDED)
     link, ball = data.body("lbr_link_5").xpos, rest_positions(scene)[0]
     data.qpos[7:] = plant.data.qpos[7:] = link - ball + 0.12 * (ball - link) / np.linalg.norm(ball - link)

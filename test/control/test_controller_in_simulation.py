@@ -7,12 +7,12 @@ from arm_simulation import ARM, HOME, VELOCITY_LIMITS, ClosedLoop, ideal_plant
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
 from contact_reach_ros.control.supervisor import REST_TIME, Mode
-from contact_reach_ros.simulation.settings import JointSettings
+from contact_reach_ros.simulation.plant import FRICTION
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene
 
 MS = 1_000_000
-REAL = {"joints": JointSettings(), "mismatch": NO_MISMATCH}
+REAL = {"friction": FRICTION, "mismatch": NO_MISMATCH}
 
 
 def moving_plan(loop: ClosedLoop, milliseconds: int) -> None:

@@ -7,7 +7,7 @@ from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.identification.recording import Recording, Samples
-from contact_reach_ros.observer.settings import MomentumSettings
+from contact_reach_ros.observer.settings import COULOMB_SPEED, MomentumSettings
 
 ARM = load_arm()
 MOMENTUM = MomentumSettings().resolve(ARM)
@@ -34,7 +34,7 @@ def torques(arm: Arm, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray
     model = RobotModel(arm).pinocchio
     data = model.createData()
     rigid = np.array([pin.rnea(model, data, *state).copy() for state in zip(q, v, a, strict=True)])
-    return rigid + COULOMB * np.tanh(v / MOMENTUM.coulomb_speed) + VISCOUS * v + OFFSET
+    return rigid + COULOMB * np.tanh(v / COULOMB_SPEED) + VISCOUS * v + OFFSET
 
 
 def recording(arm: Arm, seconds: float, period: float = 0.004, noise: float = 0.02) -> Recording:
@@ -47,5 +47,5 @@ def recording(arm: Arm, seconds: float, period: float = 0.004, noise: float = 0.
 def samples(arm: Arm, seconds: float, seed: int = 0, joints=range(ARM.n)) -> Samples:
     """Samples of such a motion without noise, 50 a second."""
     _, q, v, a = motion(seconds, 0.02, seed, joints)
-    direction, moves = np.tanh(v / MOMENTUM.coulomb_speed), np.abs(v) > 0.05
+    direction, moves = np.tanh(v / COULOMB_SPEED), np.abs(v) > 0.05
     return Samples(q, v, a, torques(arm, q, v, a), direction, moves, np.zeros(len(q), int))

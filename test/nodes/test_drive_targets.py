@@ -354,7 +354,8 @@ def make_franka(node=None, **settings):
 def test_nothing_passes_before_the_reflexes_are_set(monkeypatch):
     monkeypatch.setattr(effort, "ListControllers", None)
     node = Node(franka.SetFullCollisionBehavior.Response(success=True))
-    target = make_franka(node, ask_joints=False)
+    target = make_franka(node)
+    target._take_order(ARM.joint_names)
     assert target.problem.startswith("the reflexes are not set yet")
     target.look()
     (request,) = node.asked

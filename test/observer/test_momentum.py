@@ -7,7 +7,6 @@ from arm_simulation import ARM, HOME, REST, TICK_NS, ideal_plant
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.observer.momentum import MomentumObserver, MomentumSettings
 from contact_reach_ros.simulation.plant import TICK, Actuation
-from contact_reach_ros.simulation.settings import JointSettings
 
 SETTINGS = MomentumSettings()
 TICKS_PER_LAG = round(1.0 / SETTINGS.gain / TICK)
@@ -70,10 +69,10 @@ def test_force_at_the_flange_is_given_back_as_a_wrench():
 
 @pytest.mark.parametrize(("kind", "friction"), [("viscous_friction", 2.0), ("coulomb_friction", 0.5)])
 def test_known_friction_of_moving_joints_is_not_taken_for_a_push(kind, friction):
-    joints = JointSettings(**{"viscous_friction": 0.0, "coulomb_friction": 0.0, kind: friction})
+    true = (friction, 0.0) if kind == "viscous_friction" else (0.0, friction)
     largest = {}
     for expected in (0.0, friction):
-        observed = Observed(settings=MomentumSettings(**{kind: (expected,) * ARM.n}), joints=joints)
+        observed = Observed(settings=MomentumSettings(**{kind: (expected,) * ARM.n}), friction=true)
         observed.plant.data.qvel[:] = 0.5
         observed.observer = MomentumObserver(observed.observer.settings, RobotModel(ARM))
         # These go on for a while; joints at rest stick, with less than the whole dry friction.

@@ -21,7 +21,6 @@ from contact_reach_ros.observer.safety import (
     SafetySettings,
 )
 from contact_reach_ros.simulation.plant import TICK_NS, Actuation, Plant
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.scene import NO_MISMATCH, Scene
 
 SETTINGS = SafetySettings()
@@ -224,7 +223,7 @@ def of_size(mass: float, effort: float) -> Arm:
 def test_an_arm_of_any_size_that_nothing_touches_feels_no_contact(mass, effort):
     """It moves with the friction and the noise of its simulated drives."""
     arm = of_size(mass, effort)
-    plant = Plant(Scene("test", arm, 0, HOME, np.zeros(3), (), mismatch=NO_MISMATCH), JointSettings())
+    plant = Plant(Scene("test", arm, 0, HOME, np.zeros(3), (), mismatch=NO_MISMATCH))
     plant.set_actuation(Actuation.COMMANDED)
     model, observer = RobotModel(arm), MomentumObserver(MomentumSettings(), RobotModel(arm))
     monitor = SafetyMonitor(RobotModel(arm), SETTINGS, ContactBudget())

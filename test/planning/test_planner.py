@@ -184,7 +184,7 @@ class TestGoals:
         planner.command(GOAL)
         before = planner.goal
         for sent in (1, 1000, 2999):
-            with pytest.raises(InputError, match=r"^goal: its stamp is .* s older .* goal_timeout, 2 s, at most"):
+            with pytest.raises(InputError, match=r"^goal: its stamp is .* s older .* expected 2 s at most"):
                 planner.command(OTHER_GOAL, sent * TICK_NS)
             assert planner.goal is before and planner.goal_state.phase is GoalPhase.ACCEPTED
         # Just young enough, now, and from a clock that is ahead.
@@ -198,7 +198,7 @@ class TestGoals:
         assert planner.goal_state.phase is phase
         assert bool(requests(planner, gap + 1, gap + 100)) is (phase is GoalPhase.ACCEPTED)
         if phase is GoalPhase.WITHDRAWN:
-            assert planner.goal_state.reason.startswith("no joint state came for 2.0 s, more than goal_timeout")
+            assert planner.goal_state.reason.startswith("no joint state came for 2.0 s, more than 2 s")
 
     def test_a_plan_that_took_long_is_no_gap_in_the_states_and_the_next_gap_is_one(self, planner):
         planner.took(3_000_000_000)
@@ -215,7 +215,7 @@ class TestGoals:
 
     @pytest.mark.parametrize(
         "goal",
-        [BEYOND, Goal([math.nan, 0.0, 0.5]), Goal([0.5, 0, 0.3], frame="world"), Goal([0.5, 0, 0.3], np.ones(4))],
+        [BEYOND, Goal([math.nan, 0.0, 0.5]), Goal([0.5, 0, 0.3], np.ones(4))],
     )
     def test_one_that_is_refused_leaves_the_one_before(self, planner, goal):
         before = planner.goal

@@ -13,8 +13,8 @@ from contact_reach_ros.arms import ARMS, load_arm
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.fitting import fitted, with_gap
 from contact_reach_ros.scenes.generate import load_scene, make_scene
-from contact_reach_ros.scenes.placing import free_path, path_segments, postures_at
-from contact_reach_ros.world.collision import overlap_depths
+from contact_reach_ros.scenes.placing import free_path, postures_at
+from contact_reach_ros.world.collision import capsule_segments, overlap_depths
 from contact_reach_ros.world.scene_file import read_scene
 
 OTHERS = [name for name in ARMS if name != ARM.name]
@@ -55,7 +55,7 @@ def test_an_arm_with_a_bent_wrist_does_not_get_through_without_pushing_either():
     seeds = np.random.default_rng(1).uniform(scene.arm.lower, scene.arm.upper, (200, scene.arm.n))
     postures = solve_ik(scene.arm, origins[-1], rotations[-1], seeds, 0.05)
     nodes, radius = np.concatenate([each.rest for each in scene.obstacles]), scene.obstacles[0].radius
-    depths = overlap_depths(scene.arm, *path_segments(scene.arm, postures), nodes, radius).max(axis=(1, 2))
+    depths = overlap_depths(scene.arm, *capsule_segments(scene.arm, postures), nodes, radius).max(axis=(1, 2))
     assert depths.min() > 0.0
     assert depths.max() > 0.05
 

@@ -14,8 +14,8 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import ARMS, load_arm
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.placing import MIN_MOBILITY, free_path, least_mobility, path_segments
-from contact_reach_ros.world.collision import overlap_depths
+from contact_reach_ros.scenes.placing import MIN_MOBILITY, free_path, least_mobility
+from contact_reach_ros.world.collision import capsule_segments, overlap_depths
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import TargetSettings, read_scene
 from contact_reach_ros.world.spheres import rest_positions
@@ -58,7 +58,7 @@ def test_ball_is_in_the_way_of_the_middle_links_only(seed):
     (ball,) = scene.obstacles
     starts, ends = shape_segments(ARM, scene.start[None])
     assert overlap_depths(ARM, starts, ends, ball.rest, ball.radius)[0, 0] <= TOLERANCE
-    segments = path_segments(ARM, path_of("ball", seed))
+    segments = capsule_segments(ARM, path_of("ball", seed))
     depths = overlap_depths(ARM, *segments, ball.rest, ball.radius)[..., 0]
     assert depths[0].max() <= -0.01 + TOLERANCE
     links, deepest = np.array([capsule.link for capsule in ARM.capsules]), depths.max(axis=0)

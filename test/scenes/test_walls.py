@@ -8,8 +8,8 @@ from arm_simulation import ARM
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.scenes.placing import free_path, on_hand, on_middle, path_segments, swivelled_segments
-from contact_reach_ros.world.collision import overlap_depths
+from contact_reach_ros.scenes.placing import free_path, on_hand, on_middle, swivelled_segments
+from contact_reach_ros.world.collision import capsule_segments, overlap_depths
 from contact_reach_ros.world.obstacle import WallSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import read_scene
@@ -63,7 +63,7 @@ def test_walls_stand_in_the_way_between_start_and_target(seed):
         assert start[0] <= x - half + 1e-9
         assert x + half + 0.06 <= scene.target[0] + 1e-3
     nodes, radius = rest_positions(scene), SETTINGS.node_radius
-    depths = overlap_depths(ARM, *path_segments(ARM, path), nodes, radius)
+    depths = overlap_depths(ARM, *capsule_segments(ARM, path), nodes, radius)
     assert depths[0].max() <= -0.01
     deepest = depths.max(axis=(0, 2))
     # Placement looks at every fifth pose of the path only.

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
 
+from benchmarks.faulty_robot import FaultyPlant
 from contact_reach_ros.simulation.plant import Plant
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.obstacle import BallSettings, Obstacle
 from contact_reach_ros.world.scene import Scene
@@ -32,9 +32,9 @@ def ball_beside(link: int, gap: float, **settings) -> Obstacle:
     return ball
 
 
-def braked(*balls: Obstacle, scale: float = 1.0) -> Plant:
+def braked(*balls: Obstacle, scale: float = 1.0) -> FaultyPlant:
     scene = Scene("test", ARM, 0, HOME, np.zeros(3), tuple(balls), foam_scale=scale)
-    return Plant(scene, JointSettings())
+    return FaultyPlant(scene)
 
 
 def settle(plant: Plant, seconds: float = 2.0) -> None:

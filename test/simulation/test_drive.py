@@ -9,8 +9,8 @@ from arm_simulation import ARM, HOME, REST, TICK_NS, VELOCITY_LIMITS, ideal_plan
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.simulation.drive import Drive
-from contact_reach_ros.simulation.plant import Actuation
-from contact_reach_ros.simulation.settings import JointSettings, WatchdogSettings
+from contact_reach_ros.simulation.plant import FRICTION, Actuation
+from contact_reach_ros.simulation.settings import WatchdogSettings
 
 GRAVITY = RobotModel(ARM).gravity_at(HOME)
 
@@ -20,7 +20,7 @@ class Bench:
 
     def __init__(self, open_after: float = 0.0, enabled: bool = True) -> None:
         # Brakes that open at once, except where that is what is tested.
-        self.drive = Drive(ideal_plant(joints=JointSettings()), WatchdogSettings(enabled), open_after)
+        self.drive = Drive(ideal_plant(friction=FRICTION), WatchdogSettings(enabled), open_after)
         self.clock_ns = 5_000_000_000
 
     def command(self, torque: np.ndarray = GRAVITY) -> None:

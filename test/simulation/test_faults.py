@@ -8,6 +8,7 @@ from arm_simulation import TICK_NS as MS
 from benchmarks.faulty_robot import (
     Fault,
     Faults,
+    FaultyPlant,
     Friction,
     Late,
     Lost,
@@ -23,8 +24,7 @@ from benchmarks.faulty_robot import (
 from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.simulation.plant import Actuation, Plant
-from contact_reach_ros.simulation.settings import JointSettings
+from contact_reach_ros.simulation.plant import FRICTION, Actuation, Plant
 from contact_reach_ros.world.scene import MismatchSettings, Scene
 
 START = np.array([0.1, 0.6, -0.2, -1.3, 0.3, 0.8, -0.4])
@@ -33,14 +33,14 @@ STATE = JointState(0, np.linspace(0.1, 0.7, 7), np.linspace(-0.3, 0.3, 7), np.li
 
 
 def make_plant(
-    payload: float = 0.0, unknown: UnknownObstacle | None = None, joints: JointSettings = NO_FRICTION
-) -> Plant:
+    payload: float = 0.0, unknown: UnknownObstacle | None = None, friction: tuple[float, float] = NO_FRICTION
+) -> FaultyPlant:
     mismatch = MismatchSettings("nominal", payload, friction_scale=1.0, noise_scale=0.0, foam_variation=0.0)
     scene = Scene("test", ARM, 0, START, np.zeros(3), mismatch=mismatch)
-    return Plant(scene, joints, unknown=unknown and (unknown.radius, unknown.stiffness))
+    return FaultyPlant(scene, friction, unknown=unknown)
 
 
-def playing(*faults: Fault, plant: Plant | None = None, seed: int = 0) -> Faults:
+def playing(*faults: Fault, plant: FaultyPlant | None = None, seed: int = 0) -> Faults:
     played = Faults(faults, seed, plant or make_plant())
     played.start(0)
     return played
@@ -159,7 +159,7 @@ class TestRobot:
         assert not plant.data.xfrc_applied.any()
 
     def test_friction(self):
-        plant = make_plant(joints=JointSettings(viscous_friction=0.3, coulomb_friction=0.2))
+        plant = make_plant(friction=FRICTION)
         plant.set_actuation(Actuation.COMMANDED)
         faults = playing(Friction(10.0, at=0.1, duration=0.1), Friction(2.0, at=0.15), plant=plant)
         seen = []

@@ -12,7 +12,6 @@ from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.simulation.obstacles import Foam
 from contact_reach_ros.simulation.plant import Plant
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.obstacle import WallSettings
 from contact_reach_ros.world.scene import Scene
@@ -29,7 +28,7 @@ def wall_scene() -> Scene:
 
 
 def braked(scene: Scene) -> Plant:
-    return Plant(scene, JointSettings())
+    return Plant(scene)
 
 
 def scene_beside_the_forearm(depth: float, **changes) -> Scene:

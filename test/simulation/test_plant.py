@@ -8,6 +8,7 @@ from arm_simulation import ARM, HOME, REST, TORQUE_LIMITS, ideal_plant, random_s
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.simulation.plant import (
+    FRICTION,
     POSITION_NOISE,
     POSITION_RESOLUTION,
     TICK,
@@ -16,10 +17,7 @@ from contact_reach_ros.simulation.plant import (
     Actuation,
     Plant,
 )
-from contact_reach_ros.simulation.settings import JointSettings
 from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings, Scene
-
-FRICTION = JointSettings()
 
 
 def run(plant: Plant, seconds: float, command: np.ndarray | None = None) -> None:
@@ -29,7 +27,7 @@ def run(plant: Plant, seconds: float, command: np.ndarray | None = None) -> None
 
 def test_brakes_hold_the_arm_from_the_first_step_on():
     for q in 0.9 * random_states(3)[0]:
-        plant = ideal_plant(q, joints=FRICTION, mismatch=MismatchSettings())
+        plant = ideal_plant(q, friction=FRICTION, mismatch=MismatchSettings())
         assert plant.actuation is Actuation.BRAKED
         run(plant, 0.5)
         assert np.abs(plant.data.qpos - q).max() < 1e-9
@@ -79,8 +77,7 @@ class TestMismatch:
         np.testing.assert_allclose(difference, expected, rtol=0, atol=1e-9)
 
     def test_friction_is_scaled(self):
-        joints = JointSettings(viscous_friction=0.5, coulomb_friction=0.1)
-        plant = ideal_plant(joints=joints, mismatch=MismatchSettings(friction_scale=5.0))
+        plant = ideal_plant(friction=(0.5, 0.1), mismatch=MismatchSettings(friction_scale=5.0))
         plant.set_actuation(Actuation.COMMANDED)
         np.testing.assert_allclose(plant.model.dof_damping, 2.5)
         np.testing.assert_allclose(plant.model.dof_frictionloss, 0.5)
