@@ -19,12 +19,12 @@ from contact_reach_ros.arms import ROBOT_DIGEST, ROBOT_TABLE, known_parameters, 
 from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, reading
 from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader, RawMessage
-from contact_reach_ros.bags.signals import SETTINGS, recorded_arm
+from contact_reach_ros.bags.signals import SETTINGS, recorded_arm, settings_of_bag
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.messages.intake import COLUMNS, TOPICS, Taken
 from contact_reach_ros.messages.safety_state import read_reason
-from contact_reach_ros.messages.values import checked_stamp, read_settings
+from contact_reach_ros.messages.values import checked_stamp
 from contact_reach_ros.observer.budget import BUDGET, ContactBudget, load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
 from contact_reach_ros.planning.settings import PLANNER_SECTIONS
@@ -42,7 +42,6 @@ COMMANDS = "effort_controller/commands"
 ADAPTER_COMMANDS = "adapter/commands"
 SHADOW_COMMANDS = "shadow/commands"
 EXTERNAL_TORQUE = "external_torque"
-OBSTACLES = "obstacles"
 
 SECTIONS: Mapping[str, Sections] = {
     "controller": {**CONTROLLER_SECTIONS, **OBSERVER_SECTIONS, BUDGET: ContactBudget},
@@ -110,7 +109,7 @@ class RecordedInputs:
 
     def __init__(self, bag: BagReader) -> None:
         self.bag = bag
-        self.settings = {status.name: read_settings(status) for status in bag.messages(f"/{SETTINGS}")}
+        self.settings = settings_of_bag(bag)
         self.arm = recorded_arm(self.settings)
         self.outputs: dict[str, dict[int, Array]] = {
             name: {} for name in (COMMANDS, ADAPTER_COMMANDS, SHADOW_COMMANDS, EXTERNAL_TORQUE)
@@ -164,10 +163,6 @@ class RecordedInputs:
         """The decoded message of a topic that was sent at that time; None if the bag lacks it."""
         raw = self._plain[name].get(sent_ns)
         return None if raw is None else self.bag.decode(raw)
-
-    def raw_messages(self, name: str) -> Iterator[RawMessage]:
-        """The serialized messages of a topic, which the bag may lack."""
-        return self.bag.raw_messages({f"/{name}"} & self.bag.topics.keys())
 
     def safety_reasons(self, node: str) -> list[str]:
         """Why a node stopped the arm, each time once, in the order of the bag."""
