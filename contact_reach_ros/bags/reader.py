@@ -64,7 +64,7 @@ class BagReader:
         self._notes: list[str] = []
         paths = [self.path]
         if self.path.is_dir():
-            paths = sorted(self.path.glob("*.mcap"), key=_file_number) or sorted(self.path.glob("*.mcap.zstd"))
+            paths = sorted(self.path.glob("*.mcap")) or sorted(self.path.glob("*.mcap.zstd"))
         if not paths:
             raise BagError(f"'{self.path}' is no bag with mcap files; `ros2 bag convert` can convert other recordings")
         self._files = self._open(paths)
@@ -181,9 +181,3 @@ class BagReader:
                 kept = content.get("custom_data")
                 return {str(key): str(value) for key, value in kept.items()} if isinstance(kept, dict) else {}
         return {}
-
-
-def _file_number(path: Path) -> tuple[int, str]:
-    """Sort key for the files of a split bag: the number at the end of the name, then the name."""
-    number = path.stem.rpartition("_")[2]
-    return (int(number) if number.isdigit() else 0, path.name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import shlex
 from collections import Counter
 from pathlib import Path
@@ -147,14 +146,20 @@ class Episode:
             self.way = float(np.linalg.norm(signals.goals.values[0] - start_position))
 
 
-@dataclasses.dataclass(frozen=True)
 class ReportBag:
-    """One bag, read for a report.
+    """One bag, complete or not, read for a report; raises `BagError` if the file is not a bag.
+
+    Parameters
+    ----------
+    path :
+        The bag.
+    label :
+        Its name on the page.
+    timeout, settle :
+        As for `Episode`.
 
     Attributes
     ----------
-    label :
-        Name of the bag on the page.
     arm :
         The recorded arm.
     reader, signals :
@@ -177,18 +182,50 @@ class ReportBag:
         Missing or odd data, one sentence each.
     """
 
-    label: str
-    arm: Arm
-    reader: BagReader
-    signals: EpisodeSignals
-    episode: Episode | None
-    zero: float
-    verdict: str
-    good: bool
-    budget: ContactBudget
-    exceeded: Exceeded
-    torque_limits: Array
-    notes: tuple[str, ...]
+    def __init__(self, path: Path, label: str, timeout: float = np.inf, settle: float = np.inf) -> None:
+        self.label = label
+        self.reader = reader = BagReader(path, of_stack=True)
+        notes: list[str] = []
+        settings = settings_of_bag(reader)
+        try:
+            self.arm = recorded_arm(settings)
+        except BagError as error:
+            self.arm = load_arm()
+            notes.append(str(error))
+        sections: dict[str, Any] = {BUDGET: load_budget(), "limits": LimitSettings()}
+        of_settings: list[str] = []
+        for node, prefix in (("observer", BUDGET), ("controller", "limits")):
+            try:
+                if node not in settings:
+                    raise BagError("the bag lacks its settings")
+                sections[prefix] = recorded_sections(node, settings[node], self.arm, reader.path)[prefix]
+            except BagError as error:
+                of_settings.append(f"the package's own {prefix} of the {node} is assumed: {error}")
+        self.budget: ContactBudget = sections[BUDGET].resolve(self.arm)
+        self.torque_limits: Array = sections["limits"].torque_share * self.arm.torque_limits
+        self.exceeded = Exceeded(self.budget)
+        self.signals = signals = read_signals(reader, self.arm, self.exceeded.watches)
+        if not reader.message_count:
+            notes.append("the bag has no messages")
+        lost = reader.custom_data.get("messages_lost", "0")
+        if lost.isdigit() and int(lost):
+            notes.append(f"{lost} messages were lost while the bag was recorded")
+        # Behind an adapter the controller's own topic may be all there is.
+        there = {*reader.topics, *(f"/{COMMANDS[-1]}" for name in COMMANDS if f"/{name}" in reader.topics)}
+        missing = [topic for topic in _EXPECTED if f"/{topic}" not in there]
+        notes += [f"topic {topic} is missing: no {_EXPECTED[topic]}" for topic in missing]
+        # Reading has found some, too.
+        notes = [*reader.notes, *notes, *signals.notes, *of_settings]
+        calls = [event.time for event in signals.safety if event.message == CALLED]
+        end = min([*calls, *signals.position.time[-1:]], default=np.inf)
+        self.episode: Episode | None = None
+        try:
+            self.episode = Episode(signals, self.arm, end, timeout, settle)
+        except BagError as error:
+            notes.append(f"no verdict: {error}")
+        self.zero = self.episode.start if self.episode is not None else 0.0
+        self.verdict, self.good = _verdict(signals, self.episode, end, is_known="/goal/state" in reader.topics)
+        self.notes = tuple(dict.fromkeys(notes))
 
     @property
     def path(self) -> Path:
@@ -214,73 +251,6 @@ class ReportBag:
     def shown_from(self) -> float:
         """Start of the time range that charts show at first, s on the page."""
         return -min(BEFORE, self.zero)
-
-
-def read_report_bag(path: Path, label: str, timeout: float = np.inf, settle: float = np.inf) -> ReportBag:
-    """Read a bag, complete or not; raises `BagError` if the file is not a bag.
-
-    Parameters
-    ----------
-    path
-        The bag.
-    label
-        Its name on the page.
-    timeout, settle
-        As for `Episode`.
-    """
-    reader = BagReader(path, of_stack=True)
-    notes: list[str] = []
-    settings = settings_of_bag(reader)
-    try:
-        arm = recorded_arm(settings)
-    except BagError as error:
-        arm = load_arm()
-        notes.append(str(error))
-    sections: dict[str, Any] = {BUDGET: load_budget(), "limits": LimitSettings()}
-    of_settings: list[str] = []
-    for node, prefix in (("observer", BUDGET), ("controller", "limits")):
-        try:
-            if node not in settings:
-                raise BagError("the bag lacks its settings")
-            sections[prefix] = recorded_sections(node, settings[node], arm, reader.path)[prefix]
-        except BagError as error:
-            of_settings.append(f"the package's own {prefix} of the {node} is assumed: {error}")
-    budget = sections[BUDGET].resolve(arm)
-    exceeded = Exceeded(budget)
-    signals = read_signals(reader, arm, exceeded.watches)
-    if not reader.message_count:
-        notes.append("the bag has no messages")
-    lost = reader.custom_data.get("messages_lost", "0")
-    if lost.isdigit() and int(lost):
-        notes.append(f"{lost} messages were lost while the bag was recorded")
-    # Behind an adapter the controller's own topic may be all there is.
-    there = {*reader.topics, *(f"/{COMMANDS[-1]}" for name in COMMANDS if f"/{name}" in reader.topics)}
-    missing = [topic for topic in _EXPECTED if f"/{topic}" not in there]
-    notes += [f"topic {topic} is missing: no {_EXPECTED[topic]}" for topic in missing]
-    # Reading has found some, too.
-    notes = [*reader.notes, *notes, *signals.notes, *of_settings]
-    calls = [event.time for event in signals.safety if event.message == CALLED]
-    end = min([*calls, *signals.position.time[-1:]], default=np.inf)
-    episode: Episode | None = None
-    try:
-        episode = Episode(signals, arm, end, timeout, settle)
-    except BagError as error:
-        notes.append(f"no verdict: {error}")
-    verdict, good = _verdict(signals, episode, end, is_known="/goal/state" in reader.topics)
-    return ReportBag(
-        label=label,
-        arm=arm,
-        reader=reader,
-        signals=signals,
-        episode=episode,
-        zero=episode.start if episode is not None else 0.0,
-        verdict=verdict,
-        good=good,
-        budget=budget,
-        exceeded=exceeded,
-        torque_limits=sections["limits"].torque_share * arm.torque_limits,
-        notes=tuple(dict.fromkeys(notes)),
-    )
 
 
 def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
