@@ -355,9 +355,7 @@ def read_signals(
         (
             *(f"{name}: is {kind}, expected {_SPARSE[name]}; it is left out" for name, kind in other.items()),
             *(f"{name}: {count} messages cannot be read and are left out" for name, count in unread.items()),
-            *_oddities(
-                {"joint_states": state, "external_torque": torque, "sim/contacts": contact}, {commands: command}
-            ),
+            *_oddities(dict(zip(columns, (state, command, torque, contact), strict=True))),
         ),
     )
 
@@ -489,11 +487,10 @@ def _as_array(numbers: array[int]) -> np.ndarray:
     return np.frombuffer(numbers, numbers.typecode)
 
 
-def _oddities(columns: Mapping[str, Column], commands: Mapping[str, Column]) -> Iterator[str]:
-    for name, column in {**columns, **commands}.items():
+def _oddities(columns: Mapping[str, Column]) -> Iterator[str]:
+    for name, column in columns.items():
         if column.refused:
             yield f"{name}: {column.refused} messages cannot be read and are left out"
-    for name, column in columns.items():
         if column.back:
             yield f"{name}: {column.back} stamps are older than the one before; curves follow the stamps"
     states = columns["joint_states"]
