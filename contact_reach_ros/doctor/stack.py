@@ -98,11 +98,6 @@ class Graph:
         return str(self.settings.get(ADAPTER, {}).get("kind", ""))
 
     @property
-    def requires_observer(self) -> bool:
-        """Whether the controller starts an arm only while an observer watches it."""
-        return self.settings.get("controller", {}).get("supervision.require_observer") is not False
-
-    @property
     def running(self) -> bool:
         """Whether any part of a stack is there."""
         return any(f"/{name}" in self.nodes for name in MANAGED if name != VIEWER) or bool(
@@ -244,9 +239,10 @@ def safety_state(graph: Graph) -> Finding:
     if not graph.safety:
         fix = "look whether controller and observer are active, and into their logs"
         return graded("no node reports the state of the arm", fix, warn=True)
-    unwatched = "" if graph.requires_observer else "; the controller requires no observer: the arm may move unwatched"
+    if graph.settings.get("controller", {}).get("supervision.require_observer") is not False:
+        return Finding(Verdict.PASS, found)
     fix = "start the observer, and the controller with supervision.require_observer: true"
-    return graded(found + unwatched, fix, warn=bool(unwatched))
+    return graded(f"{found}; the controller requires no observer: the arm may move unwatched", fix, warn=True)
 
 
 def commands_end(graph: Graph) -> Finding:
