@@ -35,9 +35,6 @@ Times = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 Values = NDArray[np.float64]
 
-_BATCH = 1024
-_EARLY_NS = 10_000
-"""A message that comes this much before the next step of a thinned column is its first one, ns."""
 _TIME = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
 _NO_VALUES = (struct.error, ValueError, UnicodeDecodeError, MemoryError, OverflowError)
 """What decoding raises for bytes that are no message of the expected type."""
@@ -95,23 +92,20 @@ class Collector(ABC):
 
     Attributes
     ----------
-    step_ns :
-        If it is not 0, only messages that a curve needs are kept: the first one of each step, ns, and those with the
-        least and the greatest value of each column of about a thousand.
+    stride :
+        If it is not 1, only messages that a curve needs are kept: of each part every so many, the last one, and those
+        with the least and the greatest value of each column.
     watches :
         Are given all messages, part by part.
     """
 
     def __init__(self, names: tuple[str, ...], stamped: bool) -> None:
         self.names, self.stamped = names, stamped
-        self.step_ns = 0
+        self.stride = 1
         self.watches: list[Callable[[Column], None]] = []
-        self._waiting: list[Messages] = []
-        self._decoded: list[tuple[Times, Values]] = []
         # They grow in place: to join parts at the end would take as much memory again.
         self._times, self._values = array("q"), array("d")
-        self._refused = self._back = 0
-        self._origin_ns, self._last_ns, self._step = 0, 0, -1
+        self._refused = self._back = self._last_ns = 0
 
     @abstractmethod
     def decode(self, rows: Bytes) -> Values | None:
@@ -123,13 +117,24 @@ class Collector(ABC):
 
     def __call__(self, messages: Messages) -> None:
         """Collect messages, which follow the earlier ones."""
-        self._waiting.append(messages)
-        if sum(map(len, self._waiting)) >= _BATCH:
-            self._read_waiting()
+        # Room for the stamps in the last row.
+        times = np.stack([messages[name] for name in ("log_ns", "publish_ns", "sequence", "sequence")])
+        times[3] = 0
+        decoded = list(self._read(messages["data"].tolist(), times))
+        if not decoded:
+            return
+        times = np.concatenate([times for times, _ in decoded], axis=1)
+        part = self._as_column(times, np.concatenate([values for _, values in decoded]))
+        self._back += int((np.diff(part.stamp_ns, prepend=self._last_ns) < 0).sum())
+        self._last_ns = int(part.stamp_ns[-1])
+        for watch in self.watches:
+            watch(part)
+        rows = self._needed(part) if self.stride > 1 else slice(None)
+        self._times.frombytes(times.T[rows].tobytes())
+        self._values.frombytes(part.values[rows].tobytes())
 
     def column(self) -> Column:
         """Return the messages so far as a column; the collector is empty afterwards."""
-        self._read_waiting()
         times = np.frombuffer(self._times, np.int64).reshape(-1, 4)
         values = np.frombuffer(self._values).reshape(len(times), len(self.names))
         self._times, self._values = array("q"), array("d")
@@ -139,50 +144,23 @@ class Collector(ABC):
         log_ns, publish_ns, sequence, stamp_ns = times
         return Column(log_ns, publish_ns, sequence, stamp_ns, self.names, values, self._refused, self._back)
 
-    def _read_waiting(self) -> None:
-        if not self._waiting:
-            return
-        messages, self._waiting = np.concatenate(self._waiting), []
-        # Room for the stamps in the last row.
-        times = np.stack([messages[name] for name in ("log_ns", "publish_ns", "sequence", "sequence")])
-        times[3] = 0
-        self._read(messages["data"].tolist(), times)
-        decoded, self._decoded = self._decoded, []
-        if not decoded:
-            return
-        times = np.concatenate([times for times, _ in decoded], axis=1)
-        part = self._as_column(times, np.concatenate([values for _, values in decoded]))
-        self._back += int((np.diff(part.stamp_ns, prepend=self._last_ns) < 0).sum())
-        self._last_ns = int(part.stamp_ns[-1])
-        for watch in self.watches:
-            watch(part)
-        rows = self._needed(part) if self.step_ns else slice(None)
-        self._times.frombytes(times.T[rows].tobytes())
-        self._values.frombytes(part.values[rows].tobytes())
-
     def _needed(self, part: Column) -> NDArray[np.intp]:
         """Rows (n,) of a part that are kept of a thinned column."""
-        time_ns = part.time_ns
-        if self._step < 0:
-            self._origin_ns = int(time_ns[0])
-        steps = np.maximum.accumulate((time_ns - self._origin_ns + _EARLY_NS) // self.step_ns)
-        first = np.flatnonzero(np.diff(steps, prepend=self._step) > 0)
-        self._step = max(self._step, int(steps[-1]))
         least = np.argmin(np.where(np.isnan(part.values), np.inf, part.values), axis=0)
         greatest = np.argmax(np.where(np.isnan(part.values), -np.inf, part.values), axis=0)
-        return np.unique(np.concatenate([first, least, greatest, [len(part) - 1]]))
+        return np.unique(np.concatenate([np.arange(0, len(part), self.stride), least, greatest, [len(part) - 1]]))
 
-    def _read(self, data: list[bytes], times: Times) -> None:
+    def _read(self, data: list[bytes], times: Times) -> Iterator[tuple[Times, Values]]:
         """Decode messages together if they have one layout, else each half by itself; refuse single ones."""
         values = self._decode_together(data, times)
         if values is not None:
-            self._decoded.append((times, values))
+            yield times, values
         elif len(data) == 1:
             self._refused += 1
         else:
             half = len(data) // 2
-            self._read(data[:half], times[:, :half])
-            self._read(data[half:], times[:, half:])
+            yield from self._read(data[:half], times[:, :half])
+            yield from self._read(data[half:], times[:, half:])
 
     def _decode_together(self, data: list[bytes], times: Times) -> Values | None:
         size = len(data[0])
@@ -257,18 +235,12 @@ class Arrays(Collector):
 def reading(bag: BagReader, handlers: Mapping[str, Callable[[Messages], None]]) -> Iterator[int]:
     """Pass the messages of some topics to their handlers by time of reception; skip topics that the bag lacks.
 
-    Yields the number of messages each time that some were passed.
+    Yields the number of messages each time that some were passed, to one handler after the other.
     """
-    names = sorted(handlers.keys() & bag.topics.keys())
+    names = [name for name in handlers if name in bag.topics]
     for batch in bag.batches(names):
         for number, name in enumerate(names):
             messages = batch[batch["topic"] == number]
             if len(messages):
                 handlers[name](messages)
         yield len(batch)
-
-
-def read_raw(bag: BagReader, handlers: Mapping[str, Callable[[Messages], None]]) -> None:
-    """As `reading`, to the end."""
-    for _ in reading(bag, handlers):
-        pass

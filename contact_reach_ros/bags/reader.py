@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -12,8 +13,8 @@ from typing import Any, NamedTuple
 import yaml
 
 from contact_reach_ros.bags.mcap_file import McapFile, Messages, in_order
-from contact_reach_ros.bags.message_types import Decoder
-from contact_reach_ros.bags.topics import MCAP_KEY, MCAP_NAME, RecordedTopic, is_latched
+from contact_reach_ros.bags.message_types import decode
+from contact_reach_ros.bags.topics import CDR, MCAP_KEY, MCAP_NAME, RecordedTopic, is_latched
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -63,7 +64,7 @@ class BagReader:
         self._notes: list[str] = []
         paths = [self.path]
         if self.path.is_dir():
-            paths = sorted(self.path.glob("*.mcap"), key=_file_number) or sorted(self.path.glob("*.mcap.zstd"))
+            paths = sorted(self.path.glob("*.mcap")) or sorted(self.path.glob("*.mcap.zstd"))
         if not paths:
             raise BagError(f"'{self.path}' is no bag with mcap files; `ros2 bag convert` can convert other recordings")
         self._files = self._open(paths)
@@ -74,8 +75,7 @@ class BagReader:
         self.start_ns = min((start for start, _ in spans), default=0)
         self.duration = (max((end for _, end in spans), default=0) - self.start_ns) / NANOSECONDS
         self.custom_data = self._read_custom_data()
-        schemas = {schema.name: schema for file in self._files for schema in file.schemas.values()}
-        self._decoder = Decoder(self.topics, schemas)
+        self._undecoded: Counter[str] = Counter()
 
     @property
     def message_count(self) -> int:
@@ -85,7 +85,11 @@ class BagReader:
     @property
     def notes(self) -> tuple[str, ...]:
         """Defects found so far that do not prevent reading, one sentence each; reading messages may add some."""
-        return (*self._notes, *chain.from_iterable(file.notes() for file in self._files), *self._decoder.notes())
+        undecoded = (
+            f"topic '{topic}': {count} messages are left out, no {self.topics[topic].type} of ROS 2 Jazzy in CDR"
+            for topic, count in self._undecoded.items()
+        )
+        return (*self._notes, *chain.from_iterable(file.notes() for file in self._files), *undecoded)
 
     def batches(self, topics: Sequence[str], start_ns: int = 0) -> Iterator[Messages]:
         """Yield messages of topics in the order of reception, many at once, from a time in ns since the epoch on.
@@ -112,11 +116,15 @@ class BagReader:
         return (message for message in decoded if message is not None)
 
     def decode(self, raw: RawMessage) -> Any:
-        """Decode a message by the definitions in the bag itself: fields by attribute, number sequences as arrays.
+        """Decode a message of one of ROS 2 Jazzy's types: fields by attribute, number sequences as arrays.
 
-        Returns None if that fails, which `notes` reports afterwards.
+        Returns None if it is none, or not serialised as CDR, which `notes` reports afterwards.
         """
-        return self._decoder.decode(raw.topic, raw.data)
+        topic = self.topics[raw.topic]
+        message = decode(topic.type, raw.data) if topic.encoding == CDR else None
+        if message is None:
+            self._undecoded[raw.topic] += 1
+        return message
 
     def _open(self, paths: Sequence[Path]) -> list[McapFile]:
         """Open the files that can be read; one that cannot becomes a note if there are others."""
@@ -173,9 +181,3 @@ class BagReader:
                 kept = content.get("custom_data")
                 return {str(key): str(value) for key, value in kept.items()} if isinstance(kept, dict) else {}
         return {}
-
-
-def _file_number(path: Path) -> tuple[int, str]:
-    """Sort key for the files of a split bag: the number at the end of the name, then the name."""
-    number = path.stem.rpartition("_")[2]
-    return (int(number) if number.isdigit() else 0, path.name)

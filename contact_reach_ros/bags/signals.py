@@ -20,11 +20,11 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, tip_positions
 from contact_reach_ros.arms import EARLIER_DIGESTS, ROBOT_DIGEST, ROBOT_TABLE, arm_in, load_arm
-from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, read_raw
+from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, reading
 from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.errors import BagError, SettingsError
-from contact_reach_ros.messages.cdr import ARRAY_START, COUNT, HEADER, NO_LAYOUT, PLAIN_CDR, STAMP, Cursor, aligned
+from contact_reach_ros.messages.cdr import ARRAY_START, COUNT, HEADER, NO_LAYOUT, PLAIN_CDR, STAMP, Cursor
 from contact_reach_ros.messages.intake import COLUMNS, Taken
 from contact_reach_ros.messages.safety_state import is_stopped
 from contact_reach_ros.messages.values import GOAL_PHASE, GOAL_STAMP, nanoseconds, read_settings
@@ -48,8 +48,8 @@ _SPARSE = {
 """Types of the topics with few messages."""
 _LONG = 300_000
 """Messages of a topic, five minutes of a 1 kHz arm, from which on it is thinned for a report."""
-_STEPS_NS, _STEP_NS = {"joint_states": 10_000_000}, 50_000_000
-"""Time between the messages then, beside extremes, ns; the distance to the goal takes a joint state each 10 ms."""
+_STRIDES, _STRIDE = {"joint_states": 10, "sim/contacts": 10}, 50
+"""Of so many messages then one is kept, beside extremes; the distance to the goal takes a joint state each 10 ms."""
 
 _REFUSED, _SETTLED = "refused", "settled"
 """Phases of goals that are kept: one that is not pursued, and one at which the arm is at rest."""
@@ -59,8 +59,6 @@ _OF_PLANS = ("took ms", "cost")
 """Beginnings of the keys in plan/statistics that are kept."""
 _STOP_REASON, _MISSED = b"stop reason", b"missed ticks"
 """Keys: why the search for a plan ended, and the driver's count in its diagnostics."""
-_TEXT_START = HEADER + 2 * COUNT.size
-"""Where the name in a serialized DiagnosticStatus begins, after the level and its length."""
 
 _ROUNDING = 1e-9
 """Difference of two times that are equal except for rounding, s."""
@@ -76,13 +74,13 @@ class Clock:
     """
 
     def __init__(self, received_ns: np.ndarray, stamps_ns: np.ndarray) -> None:
-        stamped = stamps_ns != 0
-        first_ns = int(received_ns[0]) if len(received_ns) else 0
+        stamped = np.flatnonzero(stamps_ns)
+        if not len(stamped):
+            received_ns = stamps_ns = np.append(received_ns, 0)[:1]
+        elif len(stamped) < len(stamps_ns):
+            received_ns, stamps_ns = received_ns[stamped], stamps_ns[stamped]
         self._received_ns, self._stamps_ns = received_ns, stamps_ns
-        if not stamped.all():
-            self._received_ns, self._stamps_ns = received_ns[stamped], stamps_ns[stamped]
-        self._received_0 = int(self._received_ns[0]) if len(self._received_ns) else first_ns
-        self.origin_ns = int(self._stamps_ns[0]) if len(self._stamps_ns) else first_ns
+        self.origin_ns = int(stamps_ns[0])
 
     def of_stamps(self, stamps_ns: np.ndarray, received_ns: np.ndarray) -> np.ndarray:
         """By the stamps in the headers, or by reception where they are zero."""
@@ -93,18 +91,10 @@ class Clock:
 
     def of_receptions(self, received_ns: np.ndarray) -> np.ndarray:
         """By times of reception, ns."""
-        known_ns = self._received_ns
-        if not len(known_ns):
-            return np.asarray((received_ns - self._received_0) / NANOSECONDS)
-        # Interpolated in whole numbers, without the joint states of an hour once more as other numbers.
-        after = np.clip(np.searchsorted(known_ns, received_ns), 1, len(known_ns) - 1)
-        spans, since = known_ns[after] - known_ns[after - 1], received_ns - known_ns[after - 1]
-        shares = np.clip(since / np.maximum(spans, 1), 0.0, 1.0)
-        inside = (
-            self._stamps_ns[after - 1] - self.origin_ns + shares * (self._stamps_ns[after] - self._stamps_ns[after - 1])
-        )
+        known_ns, begin_ns = self._received_ns, self._received_ns[0]
+        inside = np.interp(received_ns - begin_ns, known_ns - begin_ns, self._stamps_ns - self.origin_ns)
         # Outside of the joint states both clocks are taken to run alike.
-        return (inside + (received_ns - np.clip(received_ns, known_ns[0], known_ns[-1]))) / NANOSECONDS
+        return np.asarray((inside + (received_ns - np.clip(received_ns, begin_ns, known_ns[-1]))) / NANOSECONDS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -284,7 +274,7 @@ def read_signals(
     for name, column in columns.items():
         topic = bag.topics.get(f"/{name}")
         if watch is not None and topic is not None and topic.message_count > _LONG:
-            column.step_ns = _STEPS_NS.get(name, _STEP_NS)
+            column.stride = _STRIDES.get(name, _STRIDE)
         if watch is not None and name in watch:
             column.watches.append(watch[name])
     sparse: dict[str, list[tuple[int, Any]]] = {name: [] for name in _SPARSE}
@@ -298,8 +288,8 @@ def read_signals(
         "plan/statistics": lambda raw: plans.extend(_plans(raw.data)),
     }
     if watch is not None:
-        is_repeated = _Repeated()
-        take["safety_state"] = lambda raw: None if is_repeated(raw.data) else bag.decode(raw)
+        last: dict[bytes, tuple[int, bytes]] = {}
+        take["safety_state"] = lambda raw: None if _is_repeated(raw.data, last) else bag.decode(raw)
 
     def few(name: str, messages: Messages) -> None:
         """Keep of each message what is needed; those that cannot be decoded are left out, as notes say."""
@@ -313,11 +303,10 @@ def read_signals(
             if taken is not None:
                 sparse[name].append((raw.log_time_ns, taken))
 
-    read_raw(
-        bag,
-        {f"/{name}": column for name, column in columns.items()}
-        | {f"/{name}": partial(few, name) for name in sparse if name not in other},
-    )
+    handlers: dict[str, Callable[[Messages], None]] = {f"/{name}": column for name, column in columns.items()}
+    handlers |= {f"/{name}": partial(few, name) for name in sparse if name not in other}
+    for _ in reading(bag, handlers):
+        pass
     state, command, torque, contact = (column.column() for column in columns.values())
     answers_ns = _answers(*map(_as_array, (*sent, *answered)))
     for numbers in (*sent, *answered):
@@ -366,9 +355,7 @@ def read_signals(
         (
             *(f"{name}: is {kind}, expected {_SPARSE[name]}; it is left out" for name, kind in other.items()),
             *(f"{name}: {count} messages cannot be read and are left out" for name, count in unread.items()),
-            *_oddities(
-                {"joint_states": state, "external_torque": torque, "sim/contacts": contact}, {commands: command}
-            ),
+            *_oddities(dict(zip(columns, (state, command, torque, contact), strict=True))),
         ),
     )
 
@@ -408,22 +395,13 @@ def _of_other_types(bag: BagReader) -> dict[str, str]:
     return {name: kind for name, kind in types.items() if kind != _SPARSE[name]}
 
 
-class _Repeated:
-    """Whether a serialized status has level and message of its node's last one: some repeat theirs as a heartbeat."""
-
-    def __init__(self) -> None:
-        self._last: dict[bytes, bytes] = {}
-
-    def __call__(self, data: bytes) -> bool:
-        if data[:HEADER] != PLAIN_CDR:
-            return False
-        name_end = _TEXT_START + int.from_bytes(data[_TEXT_START - COUNT.size : _TEXT_START], "little")
-        start = aligned(name_end, COUNT.size) + COUNT.size
-        end = start + int.from_bytes(data[start - COUNT.size : start], "little")
-        node, state = data[_TEXT_START:name_end], data[HEADER : HEADER + 1] + data[start:end]
-        is_repeated = self._last.get(node) == state
-        self._last[node] = state
-        return is_repeated
+def _is_repeated(data: bytes, last: dict[bytes, tuple[int, bytes]]) -> bool:
+    """Whether a serialized status has level and message of its node's `last` one: some repeat theirs as a heartbeat."""
+    cursor = Cursor(data, HEADER + 1)
+    name, message = cursor.texts(2)
+    state = data[HEADER], message
+    is_repeated, last[name] = last.get(name) == state, state
+    return is_repeated
 
 
 def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[SafetyEvent]:
@@ -489,18 +467,13 @@ def _answers(numbers: np.ndarray, sent_ns: np.ndarray, wanted: np.ndarray, state
 
     `numbers` are those of the commands, `wanted` those of the commands that answer the states.
     """
-    if not numbers.any():
+    if not len(numbers):
         return np.zeros(0, np.int64)
-    if (numbers[1:] < numbers[:-1]).any():
-        order = np.argsort(numbers, kind="stable")
-        numbers, sent_ns = numbers[order], sent_ns[order]
+    order = np.argsort(numbers, kind="stable")
+    at = order[np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(numbers) - 1)]
     # States before the start, or that came again, have no answer: the number of commands stays as it is.
     is_last = np.append(wanted[1:] != wanted[:-1], True)
-    answers = [np.zeros(0, np.int64)]
-    for part in (slice(first, first + _LONG) for first in range(0, len(wanted), _LONG)):
-        at = np.minimum(np.searchsorted(numbers, wanted[part]), len(numbers) - 1)
-        answers.append((sent_ns[at] - states_ns[part])[is_last[part] & (numbers[at] == wanted[part])])
-    found = np.concatenate(answers)
+    found = (sent_ns[at] - states_ns)[is_last & (numbers[at] == wanted)]
     return found[(found >= 0) & (found < NANOSECONDS)]
 
 
@@ -514,11 +487,10 @@ def _as_array(numbers: array[int]) -> np.ndarray:
     return np.frombuffer(numbers, numbers.typecode)
 
 
-def _oddities(columns: Mapping[str, Column], commands: Mapping[str, Column]) -> Iterator[str]:
-    for name, column in {**columns, **commands}.items():
+def _oddities(columns: Mapping[str, Column]) -> Iterator[str]:
+    for name, column in columns.items():
         if column.refused:
             yield f"{name}: {column.refused} messages cannot be read and are left out"
-    for name, column in columns.items():
         if column.back:
             yield f"{name}: {column.back} stamps are older than the one before; curves follow the stamps"
     states = columns["joint_states"]

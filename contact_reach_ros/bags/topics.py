@@ -10,7 +10,7 @@ from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
 
 ROS2MSG = "ros2msg"
-"""Language of .msg files, the only one of definitions that is read and written here."""
+"""Language of the definitions of types: that of .msg files."""
 LOST = "messages_lost"
 """Key of a bag's custom data for the number of lost messages; with a topic's name appended, those of that topic."""
 CDR = "cdr"

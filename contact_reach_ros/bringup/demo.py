@@ -19,7 +19,7 @@ from contact_reach_ros.errors import BagError, ContactReachError, InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.goal_state import describe
 from contact_reach_ros.planning.goal_progress import GoalPhase
-from contact_reach_ros.report.bag import ReportBag, as_json, metrics, quantity, read_report_bag
+from contact_reach_ros.report.bag import ReportBag, as_json, metrics, quantity
 from contact_reach_ros.report.plot import draw_episode
 from contact_reach_ros.resources import write_text
 from contact_reach_ros.ros.client import CONTROLLER, StackClient
@@ -166,7 +166,7 @@ def _stay_up(stack: StackProcesses) -> None:
 def _judge(bag: Path, options: DemoOptions) -> ReportBag | None:
     """Read the bag, print its numbers and write plot and JSON; None if there is nothing to judge."""
     try:
-        found = read_report_bag(bag, bag.name, _TIMEOUT_S, _SETTLE_S)
+        found = ReportBag(bag, bag.name, _TIMEOUT_S, _SETTLE_S)
     except BagError as error:
         print(f"no summary of {bag}: {error}", file=sys.stderr)
         return None

@@ -94,7 +94,7 @@ def examine(options: BringupOptions) -> Report:
         report["arm"] = {"driver": failed(str(error), "correct what the message names")} if is_alone else {}
         return report
     # The adapter puts commands into the drive's order.
-    order = arm.joint_names if is_alone or graph.adapter else graph.command_order
+    order = arm.joint_names if is_alone or graph.adapter else graph.drive.get("joints")
     report["arm"] = {
         "joint names and order": joints.joint_names(record, arm, order),
         "gravity against torque": joints.gravity(record, RobotModel(arm), budget),

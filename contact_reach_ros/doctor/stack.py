@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.srv import GetState
-from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
@@ -80,10 +80,8 @@ class Graph:
         The latched safety states that came: name of the node, message, and whether it is a stop.
     settings
         What the nodes report of their settings, by node.
-    command_order
-        Parameter `joints` of a ros2_control controller that takes the commands; None without one.
-    timeouts
-        Numbers among its parameters whose name has a timeout, s; None without such a controller.
+    drive
+        Joints and timeouts, s, among the parameters of a ros2_control controller that takes the commands.
     """
 
     nodes: Sequence[str] = ()
@@ -92,18 +90,12 @@ class Graph:
     states: Mapping[str, str] = field(default_factory=dict)
     safety: Sequence[tuple[str, str, bool]] = ()
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    command_order: Sequence[str] | None = None
-    timeouts: Mapping[str, float] | None = None
+    drive: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def adapter(self) -> str:
         """Kind of the adapter; empty without one."""
         return str(self.settings.get(ADAPTER, {}).get("kind", ""))
-
-    @property
-    def requires_observer(self) -> bool:
-        """Whether the controller starts an arm only while an observer watches it."""
-        return self.settings.get("controller", {}).get("supervision.require_observer") is not False
 
     @property
     def running(self) -> bool:
@@ -128,17 +120,11 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
     with bare_node(DOCTOR, discovery) as node:
         client = Client(node)
         time.sleep(SETTLED_S)
-        names, states, order, timeouts = _nodes(node), {}, None, None
+        names, states = _nodes(node), {}
         for name in (name for name in MANAGED if f"/{name}" in names):
             answer = _ask(client, f"/{name}/get_state", GetState, GetState.Request())
             states[name] = answer.current_state.label if answer is not None else ""
-        # The adapter puts commands into the controller's order.
-        if f"/{_EFFORT_CONTROLLER}" in names and f"/{ADAPTER}" not in names:
-            request = GetParameters.Request(names=["joints"])
-            answer = _ask(client, f"/{_EFFORT_CONTROLLER}/get_parameters", GetParameters, request)
-            order = list(answer.values[0].string_array_value) if answer is not None and answer.values else None
-        if f"/{_EFFORT_CONTROLLER}" in names:
-            timeouts = _timeouts(client)
+        drive = _parameters_of_drive(client) if f"/{_EFFORT_CONTROLLER}" in names else {}
         safety: dict[str, DiagnosticStatus] = {}
         settings: dict[str, Mapping[str, Any]] = {}
         # Franka's driver has slow states on joint_states, which its stack does not hear.
@@ -163,8 +149,7 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
             states,
             [(name, status.message, read_level(status) >= ERROR) for name, status in safety.items()],
             settings,
-            order,
-            timeouts,
+            drive,
         )
         client.close()
     return graph, heard[FRANKA_STATES if graph.adapter == FRANKA else topics.JOINT_STATES.name]
@@ -178,13 +163,13 @@ def _ask(client: Client, service: str, kind: Any, request: Any) -> Any:
         return None
 
 
-def _timeouts(client: Client) -> Mapping[str, float]:
+def _parameters_of_drive(client: Client) -> Mapping[str, Any]:
+    """Joints and timeouts, s, among the parameters of a ros2_control controller; empty without an answer."""
     listed = _ask(client, f"/{_EFFORT_CONTROLLER}/list_parameters", ListParameters, ListParameters.Request())
-    names = [] if listed is None else [name for name in listed.result.names if "timeout" in name]
-    request = GetParameters.Request(names=names)
-    answer = _ask(client, f"/{_EFFORT_CONTROLLER}/get_parameters", GetParameters, request) if names else None
-    pairs = zip(names, [] if answer is None else answer.values, strict=False)
-    return {name: value.double_value for name, value in pairs if value.type == ParameterType.PARAMETER_DOUBLE}
+    names = [] if listed is None else [name for name in listed.result.names if name == "joints" or "timeout" in name]
+    answer = _ask(client, f"/{_EFFORT_CONTROLLER}/get_parameters", GetParameters, GetParameters.Request(names=names))
+    values = [] if answer is None else map(parameter_value_to_python, answer.values)
+    return dict(zip(names, values, strict=False))
 
 
 def joint_record(heard: Heard, arm: Arm) -> JointRecord:
@@ -254,9 +239,10 @@ def safety_state(graph: Graph) -> Finding:
     if not graph.safety:
         fix = "look whether controller and observer are active, and into their logs"
         return graded("no node reports the state of the arm", fix, warn=True)
-    unwatched = "" if graph.requires_observer else "; the controller requires no observer: the arm may move unwatched"
+    if graph.settings.get("controller", {}).get("supervision.require_observer") is not False:
+        return Finding(Verdict.PASS, found)
     fix = "start the observer, and the controller with supervision.require_observer: true"
-    return graded(found + unwatched, fix, warn=bool(unwatched))
+    return graded(f"{found}; the controller requires no observer: the arm may move unwatched", fix, warn=True)
 
 
 def commands_end(graph: Graph) -> Finding:
@@ -267,14 +253,15 @@ def commands_end(graph: Graph) -> Finding:
     if driver:
         fix = "set watchdog.enabled: true for the driver, unless it is to behave like a drive without a watchdog"
         return graded("the driver keeps the last torque", fix, warn=True)
-    off = [name for name, seconds in (graph.timeouts or {}).items() if not seconds > 0.0]
+    timeouts = {name: value for name, value in graph.drive.items() if isinstance(value, float)}
+    off = [name for name, seconds in timeouts.items() if not seconds > 0.0]
     if off:
         fix = (
             f"see what the arm does at such a timeout, then set {off[0]}: {_DRIVE_TIMEOUT_S:g} for {_EFFORT_CONTROLLER}"
         )
         return graded(f"{', '.join(off)} of {_EFFORT_CONTROLLER} is off: the last torque stays", fix, warn=True)
-    if graph.timeouts:
-        own = ", ".join(f"{name} = {seconds:g} s" for name, seconds in graph.timeouts.items())
+    if timeouts:
+        own = ", ".join(f"{name} = {seconds:g} s" for name, seconds in timeouts.items())
         return Finding(Verdict.PASS, f"{_EFFORT_CONTROLLER} has {own}")
     return Finding(Verdict.PASS, "the drive offers no timeout here; docs/adapter.md says what remains")
 

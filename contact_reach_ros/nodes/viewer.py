@@ -33,8 +33,7 @@ from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import in_namespace, run
 from contact_reach_ros.settings import DEFAULT_PARAMETERS, as_arguments
 from contact_reach_ros.viewer.access import call, serve
-from contact_reach_ros.viewer.frame import safety_status
-from contact_reach_ros.viewer.live import LiveState
+from contact_reach_ros.viewer.frame import LiveState, safety_status
 from contact_reach_ros.viewer.page import Page
 from contact_reach_ros.viewer.playback import Player
 from contact_reach_ros.viewer.recorded import Recording

@@ -11,7 +11,7 @@ import numpy as np
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.reexecution.inputs import RecordedInputs
-from contact_reach_ros.reexecution.loops import TOLERANCE, Reexecution, reexecute
+from contact_reach_ros.reexecution.loops import TOLERANCE, Loop, reexecute
 from contact_reach_ros.resources import write_text
 
 IDENTICAL, DIFFERENT = 0, 1
@@ -57,7 +57,7 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
     return DIFFERENT if differs else IDENTICAL
 
 
-def _print(found: Reexecution, inputs: RecordedInputs, other: Path | None) -> None:
+def _print(found: Loop, inputs: RecordedInputs, other: Path | None) -> None:
     if other is not None:
         result = f"with {other}: up to {found.largest_difference:.3g} Nm from the recorded ones"
     elif found.first_difference is not None:
@@ -73,7 +73,7 @@ def _print(found: Reexecution, inputs: RecordedInputs, other: Path | None) -> No
         print(f"{'':11} note: {note}")
 
 
-def _as_json(found: Reexecution, inputs: RecordedInputs) -> dict[str, Any]:
+def _as_json(found: Loop, inputs: RecordedInputs) -> dict[str, Any]:
     first = found.first_difference
     return {
         "outputs": found.outputs,

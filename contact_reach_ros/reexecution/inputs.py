@@ -6,7 +6,7 @@ The bag is read along with them, so that an hour of it takes no more memory than
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,12 +19,12 @@ from contact_reach_ros.arms import ROBOT_DIGEST, ROBOT_TABLE, known_parameters, 
 from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, reading
 from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader, RawMessage
-from contact_reach_ros.bags.signals import SETTINGS, recorded_arm
+from contact_reach_ros.bags.signals import SETTINGS, recorded_arm, settings_of_bag
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
 from contact_reach_ros.errors import BagError, SettingsError
 from contact_reach_ros.messages.intake import COLUMNS, TOPICS, Taken
 from contact_reach_ros.messages.safety_state import read_reason
-from contact_reach_ros.messages.values import checked_stamp, read_settings
+from contact_reach_ros.messages.values import checked_stamp
 from contact_reach_ros.observer.budget import BUDGET, ContactBudget, load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
 from contact_reach_ros.planning.settings import PLANNER_SECTIONS
@@ -42,7 +42,6 @@ COMMANDS = "effort_controller/commands"
 ADAPTER_COMMANDS = "adapter/commands"
 SHADOW_COMMANDS = "shadow/commands"
 EXTERNAL_TORQUE = "external_torque"
-OBSTACLES = "obstacles"
 
 SECTIONS: Mapping[str, Sections] = {
     "controller": {**CONTROLLER_SECTIONS, **OBSERVER_SECTIONS, BUDGET: ContactBudget},
@@ -110,7 +109,7 @@ class RecordedInputs:
 
     def __init__(self, bag: BagReader) -> None:
         self.bag = bag
-        self.settings = {status.name: read_settings(status) for status in bag.messages(f"/{SETTINGS}")}
+        self.settings = settings_of_bag(bag)
         self.arm = recorded_arm(self.settings)
         self.outputs: dict[str, dict[int, Array]] = {
             name: {} for name in (COMMANDS, ADAPTER_COMMANDS, SHADOW_COMMANDS, EXTERNAL_TORQUE)
@@ -131,11 +130,37 @@ class RecordedInputs:
             )
 
     def intake(self, node: str) -> Intake:
-        """What a node took in; raises `BagError` if the bag lacks it."""
-        batches = _join(self.bag.messages(f"/intake/{node}"))
-        if batches is None:
+        """What a node took in: batches in their order, up to the first gap; those that came twice count once.
+
+        Raises `BagError` if the bag has none.
+        """
+        width, known = len(COLUMNS), list(Taken)
+        by_first: dict[int, NDArray[np.void]] = {}
+        for message in self.bag.messages(f"/intake/{node}"):
+            batch = message.data
+            if len(batch) > width and (len(batch) - 1) % width == 0:
+                rows = np.zeros((len(batch) - 1) // width, _PACKED)
+                rows["what"], rows["sent"], rows["clock"], rows["output"] = batch[1:].reshape(-1, width).T
+                by_first[int(batch[0])] = rows
+        if not by_first:
             raise BagError(f"bag '{self.bag.path}' lacks intake/{node}: what the {node} took in is not known")
-        return batches
+        taken, lost, begin = [], 0, min(by_first)
+        expected = begin
+        for first in sorted(by_first):
+            if first == expected:
+                taken.append(by_first[first][np.isin(by_first[first]["what"], known)])
+                expected += len(by_first[first])
+            else:
+                lost += len(by_first[first])
+        rows = np.concatenate(taken)
+        # A row has the number of outputs before it.
+        after = rows["output"][1:].copy()
+        rows["gave"][:-1] = after > rows["output"][:-1]
+        rows["output"][:-1] = after
+        # Whether the last one gave something is not known; only a joint state can.
+        if len(rows) and rows["what"][-1] == Taken.JOINT_STATES:
+            rows = rows[:-1]
+        return Intake(rows, begin > 0, lost)
 
     def read_along(self, intake: Intake) -> Iterator[Row]:
         """Yield what a node took in; states, messages and outputs are known from before to after each row."""
@@ -164,10 +189,6 @@ class RecordedInputs:
         """The decoded message of a topic that was sent at that time; None if the bag lacks it."""
         raw = self._plain[name].get(sent_ns)
         return None if raw is None else self.bag.decode(raw)
-
-    def raw_messages(self, name: str) -> Iterator[RawMessage]:
-        """The serialized messages of a topic, which the bag may lack."""
-        return self.bag.raw_messages({f"/{name}"} & self.bag.topics.keys())
 
     def safety_reasons(self, node: str) -> list[str]:
         """Why a node stopped the arm, each time once, in the order of the bag."""
@@ -227,37 +248,6 @@ class RecordedInputs:
         if node not in self.settings:
             raise BagError(f"bag '{self.bag.path}' lacks the settings of the {node} on topic '{SETTINGS}'")
         return recorded_sections(node, self.settings[node], self.arm, self.bag.path)
-
-
-def _join(messages: Iterable[Any]) -> Intake | None:
-    """Batches in their order, up to the first gap; those that came twice count once. None without any."""
-    width, known = len(COLUMNS), list(Taken)
-    by_first: dict[int, NDArray[np.void]] = {}
-    for message in messages:
-        batch = message.data
-        if len(batch) > width and (len(batch) - 1) % width == 0:
-            rows = np.zeros((len(batch) - 1) // width, _PACKED)
-            rows["what"], rows["sent"], rows["clock"], rows["output"] = batch[1:].reshape(-1, width).T
-            by_first[int(batch[0])] = rows
-    if not by_first:
-        return None
-    taken, lost, begin = [], 0, min(by_first)
-    expected = begin
-    for first in sorted(by_first):
-        if first == expected:
-            taken.append(by_first[first][np.isin(by_first[first]["what"], known)])
-            expected += len(by_first[first])
-        else:
-            lost += len(by_first[first])
-    rows = np.concatenate(taken)
-    # A row has the number of outputs before it.
-    after = rows["output"][1:].copy()
-    rows["gave"][:-1] = after > rows["output"][:-1]
-    rows["output"][:-1] = after
-    # Whether the last one gave something is not known; only a joint state can.
-    if len(rows) and rows["what"][-1] == Taken.JOINT_STATES:
-        rows = rows[:-1]
-    return Intake(rows, begin > 0, lost)
 
 
 def recorded_sections(node: str, recorded: Mapping[str, Any], arm: Arm, bag: object) -> dict[str, Any]:

@@ -7,7 +7,6 @@ is how they would have answered the same states, which would soon have become ot
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -57,9 +56,21 @@ class Difference(NamedTuple):
         return f"tick {self.tick}, {since:.3f} s, {self.field}: recorded {self.recorded}, re-executed {self.reexecuted}"
 
 
-@dataclasses.dataclass(frozen=True)
-class Reexecution:
-    """One node, re-executed.
+def reexecute(node: str, inputs: RecordedInputs, other: Path | None = None) -> Loop:
+    """Re-execute the controller or the observer, with other settings if there is a parameter file with them.
+
+    Raises `BagError` if the bag lacks its inputs or settings, `SettingsError` if the other ones are not accepted.
+    """
+    loop = (_ControllerLoop if node == "controller" else _ObserverLoop)(inputs, other)
+    loop.run()
+    return loop
+
+
+class Loop:
+    """One node, re-executed: it takes the rows in order, compares outputs, and gets into step.
+
+    A node whose beginning the bag lacks, or a joint state in between, is in an unknown state: it continues from the
+    recorded outputs until it agrees with the recording again.
 
     Attributes
     ----------
@@ -75,32 +86,6 @@ class Reexecution:
         None if there is none.
     reasons :
         Why the re-executed node stopped the arm.
-    notes :
-        What could not be done, one sentence each.
-    """
-
-    node: str
-    outputs: int
-    compared: int
-    largest_difference: float
-    first_difference: Difference | None
-    reasons: tuple[str, ...]
-    notes: tuple[str, ...]
-
-
-def reexecute(node: str, inputs: RecordedInputs, other: Path | None = None) -> Reexecution:
-    """Re-execute the controller or the observer, with other settings if there is a parameter file with them.
-
-    Raises `BagError` if the bag lacks its inputs or settings, `SettingsError` if the other ones are not accepted.
-    """
-    return (_ControllerLoop if node == "controller" else _ObserverLoop)(inputs, other).run()
-
-
-class _Loop:
-    """What both nodes share: taking the rows in order, comparing outputs, and getting into step.
-
-    A node whose beginning the bag lacks, or a joint state in between, is in an unknown state: it continues from the
-    recorded outputs until it agrees with the recording again.
     """
 
     def __init__(self, node: str, inputs: RecordedInputs, other: Path | None) -> None:
@@ -127,21 +112,13 @@ class _Loop:
         self.recorded_reasons = inputs.safety_reasons(node)
         self.handlers: dict[Taken, Callable[[Row], None]] = {}
 
-    def run(self) -> Reexecution:
+    def run(self) -> None:
         """Go through all rows."""
         for row in self.inputs.read_along(self.intake):
             if row.what in self.handlers:
                 with contextlib.suppress(InputError):  # as the node refused it
                     self.handlers[row.what](row)
-        return Reexecution(
-            self.node,
-            self.outputs,
-            self.compared,
-            self.largest_difference,
-            self.first_difference or self._other_reasons(),
-            tuple(self.reasons),
-            self._notes(),
-        )
+        self.first_difference = self.first_difference or self._other_reasons()
 
     def make_observer(self, **options: Any) -> Observer:
         """An observer of the node's settings."""
@@ -186,7 +163,9 @@ class _Loop:
         recorded = self.recorded_reasons
         return recorded[min(len(self.reasons), len(recorded) - 1)] if recorded else requested()
 
-    def _notes(self) -> tuple[str, ...]:
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What could not be done, one sentence each."""
         counts = {
             f"notes of intake/{self.node} come after a gap and are left out": self.intake.lost,
             f"messages that the {self.node} took in are not in the bag": self.missing,
@@ -204,7 +183,7 @@ class _Loop:
         return Difference(self.outputs, self.last_stamp_ns, "stop reasons", str(recorded), str(self.reasons))
 
 
-class _ControllerLoop(_Loop):
+class _ControllerLoop(Loop):
     def __init__(self, inputs: RecordedInputs, other: Path | None) -> None:
         super().__init__("controller", inputs, other)
         hold = self.settings[BUDGET].handover_thresholds
@@ -286,7 +265,7 @@ class _ControllerLoop(_Loop):
             self.plans.take_postures(message)
 
 
-class _ObserverLoop(_Loop):
+class _ObserverLoop(Loop):
     def __init__(self, inputs: RecordedInputs, other: Path | None) -> None:
         super().__init__("observer", inputs, other)
         self.observer = self.make_observer()

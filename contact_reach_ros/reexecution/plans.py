@@ -24,12 +24,13 @@ from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.solver.solver import FloatArray, Solution
 from contact_reach_ros.planning.terms import Problem
-from contact_reach_ros.reexecution.inputs import OBSTACLES, RecordedInputs
+from contact_reach_ros.reexecution.inputs import RecordedInputs
 from contact_reach_ros.world.spheres import Spheres
 
 TOLERANCES = {"cost": 1e-4, "positions": 1e-5, "rotations": 1e-4, "postures": 1e-4}
 """Of the cost, relative, and of the references, m and rad."""
 
+_OBSTACLES = {"/obstacles"}
 _LEAST_COST = 0.1
 """Relative differences are of this cost at least: near the goal it is the rounding of a few positions."""
 
@@ -147,14 +148,14 @@ class RecordedPlans:
         if not sent_ns:
             return Spheres.none()
         reader = ObstacleMarkerReader(self._inputs.arm.base_frame, self._settings[""])
-        spheres = None
-        if any(raw.publish_time_ns == sent_ns for raw in self._inputs.raw_messages(OBSTACLES)):
+        spheres, is_known, bag = None, False, self._inputs.bag
+        for raw in bag.raw_messages(_OBSTACLES & bag.topics.keys()):
             # Obstacles may rest where they were seen first.
-            for raw in self._inputs.raw_messages(OBSTACLES):
-                if raw.publish_time_ns <= sent_ns:
-                    with contextlib.suppress(InputError):  # as the node refused it
-                        spheres = reader.read(raw.data)
-        if spheres is None:
+            if raw.publish_time_ns <= sent_ns:
+                is_known |= raw.publish_time_ns == sent_ns
+                with contextlib.suppress(InputError):  # as the node refused it
+                    spheres = reader.read(raw.data)
+        if spheres is None or not is_known:
             raise BagError(f"bag '{self._path}' lacks the obstacles of plan {number}, which were sent at {sent_ns} ns")
         return spheres
 

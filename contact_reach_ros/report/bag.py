@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-import dataclasses
 import shlex
 from collections import Counter
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm import Arm, Array, tip_positions
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.bags.columns import Column, Times
+from contact_reach_ros.bags.columns import Column
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.signals import COMMANDS, EpisodeSignals, read_signals, recorded_arm, settings_of_bag
+from contact_reach_ros.bags.signals import (
+    COMMANDS,
+    EpisodeSignals,
+    goal_distance,
+    read_signals,
+    recorded_arm,
+    settings_of_bag,
+)
 from contact_reach_ros.control.settings import LimitSettings
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
 from contact_reach_ros.reexecution.inputs import BUDGET, recorded_sections
-from contact_reach_ros.report.episode import Episode
 from contact_reach_ros.settings import RATE
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -29,7 +33,7 @@ CALLED = "stop service called"
 BEFORE = 2.0
 """Time shown before the first goal, s: a stack may have waited long for it."""
 _KEPT = 10_000
-"""Joint states for which torques may still come."""
+"""Number of joint states for which torques may still come."""
 
 _EXPECTED = {
     "joint_states": "joint positions, distance, tick jitter",
@@ -45,9 +49,6 @@ _EXPECTED = {
     "settings": "limits, thresholds and configuration",
 }
 
-_Timed = tuple[Times, Array]
-"""Times (n,), ns, and values (n, k)."""
-
 
 class Exceeded:
     """How far the budget was used, by all messages, of which the signals of a long recording keep few.
@@ -55,69 +56,110 @@ class Exceeded:
     Attributes
     ----------
     watches :
-        What is given the messages, by topic.
+        What is given the messages, by topic: of external torques after the joint states up to them.
     time_above :
         Time with a contact force above the permitted force, ms; NaN without any force.
+    threshold_share :
+        Greatest ratio of any joint's external torque to the threshold that stops the arm at the joint's speed.
     """
 
     def __init__(self, budget: ContactBudget) -> None:
         self.watches = {"joint_states": self._speeds, "external_torque": self._torques, "sim/contacts": self._forces}
-        self.time_above = self._share = float("nan")
+        self.time_above = self.threshold_share = float("nan")
         self._budget = budget
-        self._force: _Timed = np.zeros(0, np.int64), np.zeros(0)
-        self._speed: _Timed = np.zeros(0, np.int64), np.zeros((0, len(budget.torque_thresholds)))
-        self._torque = self._speed
-        """Times, ns, and absolute values that are still to be compared."""
-
-    @property
-    def threshold_share(self) -> float:
-        """Greatest ratio of any joint's external torque to the threshold that stops the arm at the joint's speed."""
-        self._compare(np.iinfo(np.int64).max)
-        return self._share
+        self._force_ns, self._forces_then = np.zeros(0, np.int64), np.zeros(0)
+        self._speed_ns, self._speeds_then = np.zeros(0, np.int64), np.zeros((0, len(budget.torque_thresholds)))
 
     def _forces(self, part: Column) -> None:
-        times, forces = _joined(self._force, (part.time_ns, part.values[:, part.names.index("max")]))
+        times = np.append(self._force_ns, part.time_ns)
+        forces = np.append(self._forces_then, part.values[:, part.names.index("max")])
         above_ns = np.diff(times)[forces[:-1] > self._budget.permitted_force].sum()
         if len(times) > 1:
             self.time_above = float(np.nan_to_num(self.time_above) + 1000 * above_ns / NANOSECONDS)
-        self._force = times[-1:], forces[-1:]
-
-    def _torques(self, part: Column) -> None:
-        self._torque = _joined(self._torque, (part.time_ns, np.abs(part.values)))
+        self._force_ns, self._forces_then = times[-1:], forces[-1:]
 
     def _speeds(self, part: Column) -> None:
-        velocity = part.values.reshape(len(part), 3, -1)[:, 1]
-        self._speed = _joined(self._speed, (part.time_ns, np.abs(np.nan_to_num(velocity))))
-        self._compare(int(part.time_ns[-1]))
+        speeds = np.abs(np.nan_to_num(part.values.reshape(len(part), 3, -1)[:, 1]))
+        self._speed_ns = np.append(self._speed_ns, part.time_ns)[-_KEPT:]
+        self._speeds_then = np.concatenate([self._speeds_then, speeds])[-_KEPT:]
 
-    def _compare(self, until_ns: int) -> None:
-        """Compare the torques up to a time with the thresholds at the speeds then."""
-        times, torques = self._torque
-        known_ns, speeds = self._speed
-        ready, first = times <= until_ns, 0
-        if ready.any():
-            thresholds = np.tile(self._budget.torque_thresholds, (int(ready.sum()), 1))
-            if len(known_ns):
-                rows = np.minimum(np.searchsorted(known_ns, times[ready]), len(known_ns) - 1)
-                thresholds += np.array(self._budget.torque_per_speed) * speeds[rows]
-                first = int(rows[-1])
-            self._share = float(np.fmax(self._share, largest(torques[ready] / thresholds)))
-        first = max(first, len(known_ns) - _KEPT)
-        self._torque, self._speed = (times[~ready], torques[~ready]), (known_ns[first:], speeds[first:])
+    def _torques(self, part: Column) -> None:
+        thresholds = np.tile(self._budget.torque_thresholds, (len(part), 1))
+        if len(self._speed_ns):
+            rows = np.minimum(np.searchsorted(self._speed_ns, part.time_ns), len(self._speed_ns) - 1)
+            thresholds += np.array(self._budget.torque_per_speed) * self._speeds_then[rows]
+        self.threshold_share = float(np.fmax(self.threshold_share, largest(np.abs(part.values) / thresholds)))
 
 
-def _joined(first: _Timed, second: _Timed) -> _Timed:
-    return np.concatenate([first[0], second[0]]), np.concatenate([first[1], second[1]])
+class Episode:
+    """The episode of a bag's first goal; without a goal, the whole recording.
 
+    Raises `BagError` if there is no joint state.
 
-@dataclasses.dataclass(frozen=True)
-class ReportBag:
-    """One bag, read for a report.
+    Parameters
+    ----------
+    signals
+        Signals of the bag.
+    arm
+        The recorded arm.
+    end
+        Latest end of the episode, such as the shutdown of the stack, s since the first joint state.
+    timeout, settle
+        Times after the start and after the goal was reached at which the episode ends at the latest, s.
 
     Attributes
     ----------
+    start, end
+        When the first goal was sent, or 0 without a goal, and when the episode ended, s since the first joint state.
+    has_goal
+        Whether there is a goal.
+    reached
+        When the arm had settled at the goal, as the planner reported; on the same clock, NaN if it did not.
+    way
+        Distance from start to goal, m; NaN without a goal.
+    distance
+        Distance of the flange from the goal: the column "distance", m; empty without a goal.
+    """
+
+    def __init__(
+        self,
+        signals: EpisodeSignals,
+        arm: Arm,
+        end: float = np.inf,
+        timeout: float = np.inf,
+        settle: float = np.inf,
+    ) -> None:
+        position = signals.position
+        if not np.isfinite(position.values).all(axis=1).any():
+            raise BagError("holds no joint states of the arm; record joint_states")
+        self.distance = goal_distance(signals, arm)
+        self.has_goal = bool(len(self.distance.time))
+        self.start = float(signals.goals.time[0]) if self.has_goal else 0.0
+        last = min(float(position.time[-1]), end, self.start + timeout)
+        settled = signals.settled[(signals.settled >= self.start) & (signals.settled <= last)]
+        self.reached = float(settled[0]) if self.has_goal and len(settled) else float("nan")
+        self.end = float(np.fmin(last, self.reached + settle))
+        self.way = float("nan")
+        if self.has_goal:
+            row = min(int(np.searchsorted(position.time, self.start)), len(position.time) - 1)
+            start_position = tip_positions(arm, position.values[row : row + 1])[0]
+            self.way = float(np.linalg.norm(signals.goals.values[0] - start_position))
+
+
+class ReportBag:
+    """One bag, complete or not, read for a report; raises `BagError` if the file is not a bag.
+
+    Parameters
+    ----------
+    path :
+        The bag.
     label :
-        Name of the bag on the page.
+        Its name on the page.
+    timeout, settle :
+        As for `Episode`.
+
+    Attributes
+    ----------
     arm :
         The recorded arm.
     reader, signals :
@@ -140,18 +182,50 @@ class ReportBag:
         Missing or odd data, one sentence each.
     """
 
-    label: str
-    arm: Arm
-    reader: BagReader
-    signals: EpisodeSignals
-    episode: Episode | None
-    zero: float
-    verdict: str
-    good: bool
-    budget: ContactBudget
-    exceeded: Exceeded
-    torque_limits: Array
-    notes: tuple[str, ...]
+    def __init__(self, path: Path, label: str, timeout: float = np.inf, settle: float = np.inf) -> None:
+        self.label = label
+        self.reader = reader = BagReader(path, of_stack=True)
+        notes: list[str] = []
+        settings = settings_of_bag(reader)
+        try:
+            self.arm = recorded_arm(settings)
+        except BagError as error:
+            self.arm = load_arm()
+            notes.append(str(error))
+        sections: dict[str, Any] = {BUDGET: load_budget(), "limits": LimitSettings()}
+        of_settings: list[str] = []
+        for node, prefix in (("observer", BUDGET), ("controller", "limits")):
+            try:
+                if node not in settings:
+                    raise BagError("the bag lacks its settings")
+                sections[prefix] = recorded_sections(node, settings[node], self.arm, reader.path)[prefix]
+            except BagError as error:
+                of_settings.append(f"the package's own {prefix} of the {node} is assumed: {error}")
+        self.budget: ContactBudget = sections[BUDGET].resolve(self.arm)
+        self.torque_limits: Array = sections["limits"].torque_share * self.arm.torque_limits
+        self.exceeded = Exceeded(self.budget)
+        self.signals = signals = read_signals(reader, self.arm, self.exceeded.watches)
+        if not reader.message_count:
+            notes.append("the bag has no messages")
+        lost = reader.custom_data.get("messages_lost", "0")
+        if lost.isdigit() and int(lost):
+            notes.append(f"{lost} messages were lost while the bag was recorded")
+        # Behind an adapter the controller's own topic may be all there is.
+        there = {*reader.topics, *(f"/{COMMANDS[-1]}" for name in COMMANDS if f"/{name}" in reader.topics)}
+        missing = [topic for topic in _EXPECTED if f"/{topic}" not in there]
+        notes += [f"topic {topic} is missing: no {_EXPECTED[topic]}" for topic in missing]
+        # Reading has found some, too.
+        notes = [*reader.notes, *notes, *signals.notes, *of_settings]
+        calls = [event.time for event in signals.safety if event.message == CALLED]
+        end = min([*calls, *signals.position.time[-1:]], default=np.inf)
+        self.episode: Episode | None = None
+        try:
+            self.episode = Episode(signals, self.arm, end, timeout, settle)
+        except BagError as error:
+            notes.append(f"no verdict: {error}")
+        self.zero = self.episode.start if self.episode is not None else 0.0
+        self.verdict, self.good = _verdict(signals, self.episode, end, is_known="/goal/state" in reader.topics)
+        self.notes = tuple(dict.fromkeys(notes))
 
     @property
     def path(self) -> Path:
@@ -177,90 +251,6 @@ class ReportBag:
     def shown_from(self) -> float:
         """Start of the time range that charts show at first, s on the page."""
         return -min(BEFORE, self.zero)
-
-
-def read_report_bag(path: Path, label: str, timeout: float = np.inf, settle: float = np.inf) -> ReportBag:
-    """Read a bag, complete or not; raises `BagError` if the file is not a bag.
-
-    Parameters
-    ----------
-    path
-        The bag.
-    label
-        Its name on the page.
-    timeout, settle
-        As for `Episode`.
-    """
-    reader = BagReader(path, of_stack=True)
-    notes: list[str] = []
-    settings = settings_of_bag(reader)
-    try:
-        arm = recorded_arm(settings)
-    except BagError as error:
-        arm = load_arm()
-        notes.append(str(error))
-    of_settings: list[str] = []
-    budget = _recorded(reader, settings, arm, "observer", BUDGET, load_budget(), of_settings).resolve(arm)
-    limits = _recorded(reader, settings, arm, "controller", "limits", LimitSettings(), of_settings)
-    exceeded = Exceeded(budget)
-    signals = read_signals(reader, arm, exceeded.watches)
-    if not reader.message_count:
-        notes.append("the bag has no messages")
-    lost = reader.custom_data.get("messages_lost", "0")
-    if lost.isdigit() and int(lost):
-        notes.append(f"{lost} messages were lost while the bag was recorded")
-    # Behind an adapter the controller's own topic may be all there is.
-    there = {*reader.topics, *(f"/{COMMANDS[-1]}" for name in COMMANDS if f"/{name}" in reader.topics)}
-    missing = [topic for topic in _EXPECTED if f"/{topic}" not in there]
-    notes += [f"topic {topic} is missing: no {_EXPECTED[topic]}" for topic in missing]
-    # Reading has found some, too.
-    notes = [*reader.notes, *notes, *signals.notes, *of_settings]
-    calls = [event.time for event in signals.safety if event.message == CALLED]
-    end = min([*calls, *signals.position.time[-1:]], default=np.inf)
-    episode: Episode | None = None
-    try:
-        episode = Episode(signals, arm, end, timeout, settle)
-    except BagError as error:
-        notes.append(f"no verdict: {error}")
-    verdict, good = _verdict(signals, episode, end, is_known="/goal/state" in reader.topics)
-    return ReportBag(
-        label=label,
-        arm=arm,
-        reader=reader,
-        signals=signals,
-        episode=episode,
-        zero=episode.start if episode is not None else 0.0,
-        verdict=verdict,
-        good=good,
-        budget=budget,
-        exceeded=exceeded,
-        torque_limits=limits.torque_share * arm.torque_limits,
-        notes=tuple(dict.fromkeys(notes)),
-    )
-
-
-def _recorded(
-    reader: BagReader,
-    settings: Mapping[str, Mapping[str, Any]],
-    arm: Arm,
-    node: str,
-    prefix: str,
-    default: Any,
-    notes: list[str],
-) -> Any:
-    """The section `prefix` of a node's recorded settings.
-
-    If the bag lacks them, or this version refuses one, returns `default` and appends the reason to `notes`.
-    """
-    recorded = settings.get(node)
-    if recorded is None:
-        notes.append(f"the bag lacks the settings of the {node}: the package's own {prefix} is assumed")
-        return default
-    try:
-        return recorded_sections(node, recorded, arm, reader.path)[prefix]
-    except BagError as error:
-        notes.append(f"the package's own {prefix} of the {node} is assumed: {error}")
-        return default
 
 
 def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:

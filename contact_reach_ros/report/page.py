@@ -11,7 +11,7 @@ from jinja2 import Environment, FileSystemLoader
 
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.report import charts
-from contact_reach_ros.report.bag import ReportBag, as_json, metrics, number, quantity, read_report_bag
+from contact_reach_ros.report.bag import ReportBag, as_json, metrics, number, quantity
 from contact_reach_ros.resources import write_text
 
 _TEMPLATES = Path(__file__).with_name("template")
@@ -49,7 +49,7 @@ def run_report(bags: Sequence[Path], output: Path | None = None, file: Path | No
     read, failures = [], []
     for path in bags:
         try:
-            read.append(read_report_bag(path, _label(path, bags)))
+            read.append(ReportBag(path, _label(path, bags)))
         except BagError as error:
             failures.append(error)
     if not read:

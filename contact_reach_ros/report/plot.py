@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import base64
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
+from contact_reach_ros.palette import BLUE, GREEN, GREY, VERMILION
 from contact_reach_ros.report.bag import ReportBag
-from contact_reach_ros.world.goal import TOLERANCE
+from contact_reach_ros.report.charts import Chart, contact_chart, distance_chart, external_torque_chart
 
 _AFTER = 0.2
 """Shown after the end of the episode, s."""
@@ -24,10 +26,9 @@ def draw_episode(bag: ReportBag, title: str, file: Path) -> None:
     """
     figure = Figure(figsize=(9.0, 7.6), dpi=130)
     panels = figure.subplots(3, 1, sharex=True, gridspec_kw={"height_ratios": (1.0, 1.0, 1.25)})
-    _draw_distance(panels[0], bag)
-    _draw_force(panels[1], bag)
-    _draw_torque(panels[2], bag)
-    for panel in panels:
+    panels[2].plot([], [], color=GREY, linestyle="--", label="stop thresholds")
+    for panel, make in zip(panels, (distance_chart, contact_chart, external_torque_chart), strict=True):
+        _draw(panel, make(bag))
         _draw_moments(panel, bag, with_labels=panel is panels[0])
         panel.grid(True, color="#dddddd", linewidth=0.6)
         panel.spines[["top", "right"]].set_visible(False)
@@ -44,37 +45,22 @@ def draw_episode(bag: ReportBag, title: str, file: Path) -> None:
         raise BagError(f"plot '{file}' cannot be written: {error.strerror}") from error
 
 
-def _draw_distance(panel: Axes, bag: ReportBag) -> None:
-    if bag.episode is not None:
-        distance = bag.episode.distance
-        panel.plot(distance.time - bag.zero, distance.column("distance"), color=BLUE, linewidth=1.8, label="distance")
-    label = f"tolerance, {TOLERANCE:g} m"
-    panel.axhline(TOLERANCE, color=GREY, linewidth=1.0, linestyle="--", label=label)
-    panel.set_ylabel("distance to goal [m]")
-    panel.set_yscale("log")
+def _draw(panel: Axes, chart: Chart) -> None:
+    """Draw the curves of a chart, without those that the page hides at first."""
+    for trace in chart["data"]:
+        if trace["mode"] == "lines" and trace.get("visible") != "legendonly":
+            label, line = trace["name"] if trace.get("showlegend", True) else None, trace["line"]
+            style = {"color": line["color"], "linewidth": line["width"], "linestyle": "--" if "dash" in line else "-"}
+            panel.plot(_values(trace["x"]), _values(trace["y"]), label=label, **style)
+    axis = chart["layout"]["yaxis"]
+    panel.set_ylabel(axis["title"]["text"])
+    panel.set_yscale(axis.get("type", "linear"))
+    panel.set_ylim(*axis.get("range", (None, None)))
 
 
-def _draw_force(panel: Axes, bag: ReportBag) -> None:
-    force, permitted = bag.signals.contact_force, bag.budget.permitted_force
-    panel.plot(force.time - bag.zero, force.column("sum"), color=ORANGE, linewidth=1.4, label="sum of all bodies")
-    panel.plot(force.time - bag.zero, force.column("max"), color=BLACK, linewidth=1.4, label="largest of any body")
-    panel.axhline(permitted, color=VERMILION, linewidth=1.0, linestyle="--", label=f"permitted, {permitted:g} N")
-    panel.set_ylabel("contact force [N]")
-    panel.set_ylim(bottom=0.0)
-
-
-def _draw_torque(panel: Axes, bag: ReportBag) -> None:
-    torque, thresholds = bag.signals.external_torque, bag.budget.torque_thresholds
-    for joint, name in enumerate(torque.names):
-        colour = JOINT_COLOURS[joint % len(JOINT_COLOURS)]
-        panel.plot(torque.time - bag.zero, torque.values[:, joint], color=colour, linewidth=1.2, label=name)
-        panel.axhline(thresholds[joint], color=colour, linewidth=0.9, linestyle=":")
-        panel.axhline(-thresholds[joint], color=colour, linewidth=0.9, linestyle=":")
-    panel.plot([], [], color=GREY, linewidth=0.9, linestyle=":", label="stop thresholds")
-    # The nearest threshold stays in view; those far above would flatten the curves.
-    shown = 1.15 * max(float(np.nanmax(np.abs(torque.values), initial=0.0)), min(thresholds))
-    panel.set_ylim(-shown, shown)
-    panel.set_ylabel("external torque [Nm]")
+def _values(numbers: Any) -> Any:
+    """Numbers of a trace, in plotly's encoding or not."""
+    return np.frombuffer(base64.b64decode(numbers["bdata"]), numbers["dtype"]) if "bdata" in numbers else numbers
 
 
 def _draw_moments(panel: Axes, bag: ReportBag, with_labels: bool) -> None:

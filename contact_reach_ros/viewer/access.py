@@ -33,9 +33,6 @@ class _Server(viser.ViserServer):
     def request_share_url(self, verbose: bool = True) -> None:
         """Refuse."""
 
-    def disconnect_share_url(self) -> None:
-        """Do nothing: there is never anything to disconnect."""
-
 
 def serve(port: int, label: str) -> viser.ViserServer:
     """Start a viser server that only answers browsers on this machine, and no requests from pages of other servers.

@@ -31,18 +31,17 @@ class ArmView:
         self._scene = server.scene
         self._frames = [server.scene.add_frame(f"/arm/{link}", show_axes=False) for link in range(arm.n + 1)]
         self._tinted: list[list[Any]] = [[] for _ in arm.joints]
-        base = [self._add_fixed(number, capsule) for number, capsule in enumerate(arm.base_capsules)]
+        base = [self._add_fixed(f"/arm/0/fixed{number}", capsule) for number, capsule in enumerate(arm.base_capsules)]
         thickness = max((capsule.radius for capsule in arm.base_capsules[-1:]), default=0.0)
         for number, capsule in enumerate(arm.capsules):
-            start, end = np.array(capsule.start, float), np.array(capsule.end, float)
-            colour = _DARK if capsule.link == arm.n else _BODY
-            body = self._add(capsule.link, f"body{number}", _capsule(start, end, capsule.radius), colour)
+            colour, axis = _DARK if capsule.link == arm.n else _BODY, np.subtract(capsule.end, capsule.start)
+            body = self._add(f"/arm/{capsule.link}/body{number}", capsule, colour)
             is_first = not self._tinted[capsule.link - 1]
             self._tinted[capsule.link - 1].append(body)
             # A joint whose axis, z, runs along its link only twists the arm; one that bends it has a cover.
-            if is_first and abs(end - start)[2] < 0.5 * np.linalg.norm(end - start):
-                half = np.array([0.0, 0.0, 1.04 * max(thickness, capsule.radius)])
-                self._add(capsule.link, "cover", _cylinder(-half, half, _COVER_RADIUS * capsule.radius), _COVER)
+            if is_first and abs(axis[2]) < 0.5 * np.linalg.norm(axis):
+                radius, height = _COVER_RADIUS * capsule.radius, 2.08 * max(thickness, capsule.radius)
+                self._scene.add_cylinder(f"/arm/{capsule.link}/cover", radius, height, as_bytes(_COVER))
             thickness = capsule.radius
         if not self._tinted[0]:
             self._tinted[0] = base[-1:]
@@ -59,19 +58,23 @@ class ArmView:
             for handle in handles:
                 handle.color = share_colour(share)
 
-    def _add_fixed(self, number: int, capsule: Capsule) -> Any:
+    def _add_fixed(self, name: str, capsule: Capsule) -> Any:
         """Add a capsule that does not move; on a plate without its lower end if that reaches through the ground."""
-        start, end = np.array(capsule.start, float), np.array(capsule.end, float)
-        if not np.array_equal(start[:2], end[:2]) or not 0.0 <= min(start[2], end[2]) <= capsule.radius:
-            return self._add(0, f"fixed{number}", _capsule(start, end, capsule.radius), _BODY)
-        ground, top = np.array([*start[:2], 0.0]), np.array([*start[:2], max(start[2], end[2])])
-        plate = ground + np.array([0.0, 0.0, _PLATE])
-        self._add(0, f"plate{number}", _cylinder(ground, plate, 1.15 * capsule.radius), _DARK)
-        self._add(0, f"top{number}", _ball(top, capsule.radius), _BODY)
-        return self._add(0, f"fixed{number}", _cylinder(ground, top, capsule.radius), _BODY)
+        start, end, radius = np.array(capsule.start, float), np.array(capsule.end, float), capsule.radius
+        if not np.array_equal(start[:2], end[:2]) or not 0.0 <= min(start[2], end[2]) <= radius:
+            return self._add(name, capsule, _BODY)
+        (x, y), top, body = start[:2], max(start[2], end[2]), as_bytes(_BODY)
+        self._scene.add_cylinder(f"{name}/plate", 1.15 * radius, _PLATE, as_bytes(_DARK), position=(x, y, 0.5 * _PLATE))
+        self._scene.add_icosphere(f"{name}/top", radius, body, position=(x, y, top))
+        return self._scene.add_cylinder(f"{name}/body", radius, top, body, position=(x, y, 0.5 * top))
 
-    def _add(self, link: int, name: str, mesh: trimesh.Trimesh, colour: str) -> Any:
-        return self._scene.add_mesh_simple(f"/arm/{link}/{name}", mesh.vertices, mesh.faces, color=as_bytes(colour))
+    def _add(self, name: str, capsule: Capsule, colour: str) -> Any:
+        axis = np.subtract(capsule.end, capsule.start)
+        place = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], axis)
+        place[:3, 3] = 0.5 * np.add(capsule.start, capsule.end)
+        count = [_AROUND, _AROUND // 2]
+        mesh = trimesh.creation.capsule(float(np.linalg.norm(axis)), capsule.radius, count=count, transform=place)
+        return self._scene.add_mesh_simple(name, mesh.vertices, mesh.faces, color=as_bytes(colour))
 
 
 def share_colour(share: float) -> tuple[int, int, int]:
@@ -84,22 +87,3 @@ def share_gradient() -> str:
     """The colours of `share_colour` as a CSS gradient from left to right."""
     stops = ", ".join(f"rgb{share_colour(share)} {share:.0%}" for share in _SHARES)
     return f"linear-gradient(to right, {stops})"
-
-
-def _ball(center: Array, radius: float) -> trimesh.Trimesh:
-    mesh = trimesh.creation.icosphere(subdivisions=3, radius=radius)
-    mesh.apply_translation(center)
-    return mesh
-
-
-def _cylinder(start: Array, end: Array, radius: float) -> trimesh.Trimesh:
-    mesh = trimesh.creation.cylinder(radius, segment=np.stack([start, end]), sections=_AROUND)
-    # Split at its edges; otherwise viser would shade the flat ends and the side as one round surface.
-    return mesh.smooth_shaded
-
-
-def _capsule(start: Array, end: Array, radius: float) -> trimesh.Trimesh:
-    place = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], end - start)
-    place[:3, 3] = 0.5 * (start + end)
-    length = float(np.linalg.norm(end - start))
-    return trimesh.creation.capsule(length, radius, count=[_AROUND, _AROUND // 2], transform=place)

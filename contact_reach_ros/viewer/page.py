@@ -16,8 +16,7 @@ from contact_reach_ros.messages.safety_state import ERROR, OK, WARN
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.palette import GREEN, GREY, ORANGE, VERMILION, as_bytes
 from contact_reach_ros.viewer.arm import share_gradient
-from contact_reach_ros.viewer.frame import Frame
-from contact_reach_ros.viewer.live import LiveState
+from contact_reach_ros.viewer.frame import Frame, LiveState
 from contact_reach_ros.viewer.playback import BagTab, Player
 from contact_reach_ros.viewer.plots import Plots
 from contact_reach_ros.viewer.scene import SceneView

@@ -189,13 +189,5 @@ def test_what_cannot_be_decoded_does_not_keep_others_from_being_read(tmp_path: P
         writer.finish()
     reader = BagReader(path)
     assert [text.data for name in reader.topics for text in reader.messages(name)] == ["1", "5"]
-    notes = "\n".join(reader.notes)
-    for topic, reason in {
-        "/gain' is left out": "no clear definition",
-        "/other' is left out": "'protobuf'",
-        "/json' is left out": "serialised as json",
-        "/any' is left out": "serialised as json",
-        "/text'": "1 messages are no std_msgs/msg/String",
-    }.items():
-        assert f"topic '{topic}" in notes
-        assert reason in notes
+    for topic, count in {"/gain": 2, "/other": 2, "/json": 2, "/any": 1, "/text": 1}.items():
+        assert any(note.startswith(f"topic '{topic}': {count} messages are left out") for note in reader.notes)

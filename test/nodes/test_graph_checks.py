@@ -98,9 +98,9 @@ def test_a_latched_stop_fails_with_the_call_that_releases_it():
             "keeps the last",
             "watchdog.enabled: true",
         ),
-        ({"timeouts": {"command_timeout": 0.0}}, Verdict.WARN, "command_timeout of effort", "command_timeout: 0.1"),
-        ({"timeouts": {"command_timeout": 0.2}}, Verdict.PASS, "command_timeout = 0.2 s", ""),
-        ({"timeouts": {}}, Verdict.PASS, "no timeout", ""),
+        ({"drive": {"command_timeout": 0.0}}, Verdict.WARN, "command_timeout of effort", "command_timeout: 0.1"),
+        ({"drive": {"command_timeout": 0.2}}, Verdict.PASS, "command_timeout = 0.2 s", ""),
+        ({"drive": {}}, Verdict.PASS, "no timeout", ""),
     ],
 )
 def test_a_drives_own_timeout_is_recommended_where_it_has_one(changes, verdict, found, fix):

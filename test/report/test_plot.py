@@ -6,13 +6,13 @@ import pytest
 from matplotlib.figure import Figure
 
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.report.bag import read_report_bag
+from contact_reach_ros.report.bag import ReportBag
 from contact_reach_ros.report.plot import draw_episode
 from contact_reach_ros.resources import share_directory
 
 
 def test_curves_and_moments_count_from_the_goal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bag = read_report_bag(share_directory() / "bags" / "sample", "sample")
+    bag = ReportBag(share_directory() / "bags" / "sample", "sample")
     drawn, save = [], Figure.savefig
     monkeypatch.setattr(
         Figure, "savefig", lambda figure, *args, **kw: (drawn.append(figure), save(figure, *args, **kw))

@@ -1,5 +1,6 @@
 """The report of a bag: one page that needs no network, its numbers, and reports of incomplete bags."""
 
+import copy
 import dataclasses
 import json
 import re
@@ -17,7 +18,7 @@ from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.report import bag as report_bag
-from contact_reach_ros.report.bag import ReportBag, metrics, read_report_bag
+from contact_reach_ros.report.bag import ReportBag, metrics
 from contact_reach_ros.report.charts import BINS, envelope
 from contact_reach_ros.report.page import page
 from contact_reach_ros.resources import share_directory
@@ -28,7 +29,7 @@ CHARTS = re.compile(r'<script id="charts" type="application/json">(.*?)</script>
 
 @pytest.fixture(scope="module")
 def sample() -> ReportBag:
-    return read_report_bag(SAMPLE, "sample")
+    return ReportBag(SAMPLE, "sample")
 
 
 @pytest.fixture(scope="module")
@@ -50,11 +51,18 @@ def titles(text: str) -> list[str]:
     return [chart["layout"]["yaxis"]["title"]["text"] for chart in charts(text)]
 
 
+def changed(sample: ReportBag, **attributes: object) -> ReportBag:
+    """The sample with other attributes."""
+    made = copy.copy(sample)
+    vars(made).update(attributes)
+    return made
+
+
 def report_of(signals: EpisodeSignals, **limits: float) -> ReportBag:
     """What the sample bag would be with these signals."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(report_bag, "read_signals", lambda *_: signals)
-        return read_report_bag(SAMPLE, "sample", **limits)
+        return ReportBag(SAMPLE, "sample", **limits)
 
 
 def test_a_page_with_json(tmp_path: Path) -> None:
@@ -120,7 +128,7 @@ def test_a_stop_is_the_verdict(signals: EpisodeSignals) -> None:
 
 
 def test_two_bags_side_by_side(sample: ReportBag) -> None:
-    text = page([sample, dataclasses.replace(sample, label="second")])
+    text = page([sample, changed(sample, label="second")])
     assert titles(text).count("joint angle [rad]") == 2
     assert '<th class="number">difference</th>' in text
 
@@ -129,7 +137,7 @@ def test_texts_of_a_bag_are_shown_as_they_are(sample: ReportBag) -> None:
     """A message with markup, which could end an element of the page."""
     markup = "</script><b>bold</b>"
     event = dataclasses.replace(sample.signals.safety[0], message=markup)
-    text = page([dataclasses.replace(sample, signals=dataclasses.replace(sample.signals, safety=(event,)))])
+    text = page([changed(sample, signals=dataclasses.replace(sample.signals, safety=(event,)))])
     assert markup not in text and "&lt;/script&gt;&lt;b&gt;bold&lt;/b&gt;" in text
     assert any(f"{event.name}: {markup}" in trace.get("text", ()) for trace in charts(text)[0]["data"])
 
@@ -165,7 +173,7 @@ def test_of_a_long_bag_little_is_kept_and_its_numbers_are_the_same(
     sample: ReportBag, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bag_signals, "_LONG", 100)
-    thinned = read_report_bag(SAMPLE, "sample")
+    thinned = ReportBag(SAMPLE, "sample")
     numbers, expected = metrics(thinned), metrics(sample)
     # It begins at the next joint state that was kept.
     assert numbers.pop("way to the goal")[0] == pytest.approx(expected.pop("way to the goal")[0], rel=1e-3)
