@@ -104,7 +104,7 @@ def update(
     dimension = distribution.mean.shape[0]
     share = valid / jnp.maximum(valid.sum(), 1.0)
     step = parents @ share
-    # Equation (43) takes the symmetric root of C, which takes longer than all the rest. The Cholesky factor turns little
+    # Equation (43) takes the symmetric root of C, which costs more than all the rest. The Cholesky factor hardly turns
     # from one generation to the next (Krause, Arbonès and Igel 2016).
     whitened = solve_triangular(jnp.linalg.cholesky(distribution.covariance), step, lower=True)
     c_sigma, c_c = rates.c_sigma, rates.c_c
