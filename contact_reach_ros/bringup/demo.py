@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from contact_reach_ros.arm import Array
-from contact_reach_ros.bringup.processes import BringupOptions, page_address, resolved, stack_arm
+from contact_reach_ros.bringup.processes import page_address, resolved, stack_arm
+from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import BagError, ContactReachError, InputError
 from contact_reach_ros.messages import topics
@@ -26,6 +27,7 @@ from contact_reach_ros.ros.client import CONTROLLER, StackClient
 from contact_reach_ros.ros.interfaces import DEMO
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.settings import setting
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.scene_file import read_scene
 
@@ -43,22 +45,13 @@ _MISSED_SHARE = 0.02
 
 
 @dataclass(frozen=True)
-class DemoOptions:
-    """Options of the command line."""
+class DemoOptions(BringupOptions):
+    """Options of the command line; with `view` the stack stays up after the episode until Ctrl-C."""
 
-    arm: str = ""
-    """Name of the arm, or the path of its file; empty leaves it to the parameter file."""
-    scene: str = "ball"
-    seed: int = 45
-    """With which the arm touches the ball."""
-    goal: tuple[float, float, float] | None = None
-    lockstep: bool = False
-    parameters: str = ""
-    """Parameter file for the nodes; the package's own when empty."""
-    view: bool = False
-    """Whether to serve the viewer's page, and to stay up after the episode until Ctrl-C."""
-    output: Path = Path("bags")
-    json: Path | None = None
+    seed: int = setting(45, "seed of the scene and the sensor noise; with the default the arm touches the ball")
+    goal: tuple[float, ...] | None = setting(None, "flange position, base frame", unit="m", optional_length=3)
+    output: str = setting("bags", "where bag, plot and log go")
+    json: str = setting("", "file for the result; none when empty")
 
 
 def run_demo(options: DemoOptions) -> int:
@@ -82,21 +75,13 @@ def run_demo(options: DemoOptions) -> int:
 def _run(options: DemoOptions) -> tuple[int, float]:
     """Run the demo once; returns the exit code and the share of missed ticks, 0 after a failure of the stack."""
     name = f"demo_{read_scene(options.scene).name}_{options.seed}_{datetime.now():%Y%m%d_%H%M%S}"
-    bag = options.output.resolve() / name
-    options_of_stack = BringupOptions(
-        scene=options.scene,
-        lockstep=options.lockstep,
-        bag=str(bag),
-        parameters=options.parameters,
-        view=options.view,
-        robot=options.arm,
-        overrides=(
-            f"driver:seed={options.seed}",
-            *([] if options.goal is None else [f"driver:target={' '.join(map(str, options.goal))}"]),
-            *(["driver:waits_for_goal=true"] if options.lockstep else []),
-        ),
+    bag = Path(options.output).resolve() / name
+    overrides = (
+        f"driver:seed={options.seed}",
+        *([] if options.goal is None else [f"driver:target={' '.join(map(str, options.goal))}"]),
+        *(["driver:waits_for_goal=true"] if options.lockstep else []),
     )
-    bringup = resolved(options_of_stack, DEMO)
+    bringup = resolved(dataclasses.replace(options, bag=str(bag), overrides=overrides), DEMO)
     interrupted, is_over, failure = False, False, ""
     with bare_node(DEMO) as node:
         goal = None if options.goal is None else np.array(options.goal)
@@ -176,8 +161,8 @@ def _judge(bag: Path, options: DemoOptions) -> ReportBag | None:
     print()
     for label, text in {"result": found.verdict, **numbers, "bag": bag, "plot": plot}.items():
         print(f"  {label:40}{text}")
-    if options.json is not None:
-        write_text(options.json, json.dumps(as_json(found), indent=2, allow_nan=False) + "\n")
+    if options.json:
+        write_text(Path(options.json), json.dumps(as_json(found), indent=2, allow_nan=False) + "\n")
     return found
 
 
