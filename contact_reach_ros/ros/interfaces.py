@@ -17,16 +17,6 @@ OPERATOR = "operator"
 STOPPABLE = RESET_ORDER[::-1]
 """Nodes with the services ~/stop and ~/reset."""
 
-HEARD_BY_VIEWER = (
-    topics.JOINT_STATES,
-    topics.EXTERNAL_TORQUE,
-    topics.OBSTACLES,
-    topics.PLAN_MARKERS,
-    topics.SIM_CONTACTS,
-    topics.PLAN_STATISTICS,
-    topics.SAFETY_STATE,
-)
-
 _REFERENCES = (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
 ALONE = (topics.JOINT_STATES, topics.COMMANDS, *_REFERENCES)
 """Topics that must have a single publisher: with two, the arm receives the commands of both in turn."""
