@@ -61,8 +61,6 @@ class AdapterNode(StoppableNode):
             )
             self._target.listen(self.inbox, self._forward, self.stream_qos)
         self.inbox.add(topics.ADAPTER_COMMANDS, self._on_command, self.stream_qos, serialized=True)
-        # Commands come at the same rate: a state need not wake the loop up.
-        self.follow(topics.JOINT_STATES, self._on_state, hurried=False)
         self.inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._guard = self._make_guard()
@@ -77,6 +75,8 @@ class AdapterNode(StoppableNode):
         self._last_sign = (0, 0.0)
         """The number of states when the drive last gave a sign of life, and when that was, s."""
         self.exclude([topics.JOINT_STATES, self._target.topic, topics.ADAPTER_COMMANDS])
+        # Commands come at the same rate: a state need not wake the loop up.
+        self.follow(topics.JOINT_STATES, self._on_state, hurried=False)
 
     def configure(self) -> None:
         """Warm up all computations."""

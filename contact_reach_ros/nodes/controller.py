@@ -62,10 +62,8 @@ class ControllerNode(StoppableNode):
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self.inbox.add(topics.REFERENCE_POSE, self._on_poses, hurried=False)
         self.inbox.add(topics.REFERENCE_POSTURE, self._on_postures, hurried=False)
-        after = [ADAPTER] if commands is topics.ADAPTER_COMMANDS else []
-        self.follow(topics.JOINT_STATES, self._on_state, after=after)
         self._intake = self.log_intake(topics.CONTROLLER_INTAKE)
-        self.inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
+        self.inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS, hurried=False)
         self._disagreement = ""
         """What the planner plans with and this controller has not."""
         self._other_watch = ""
@@ -80,6 +78,8 @@ class ControllerNode(StoppableNode):
         self._compute = Durations()
         self._published_mode: tuple[Mode, str] | None = None
         self.exclude([*ALONE, topics.SAFETY_STATE, *adapted])
+        after = [ADAPTER] if commands is topics.ADAPTER_COMMANDS else []
+        self.follow(topics.JOINT_STATES, self._on_state, after=after)
 
     def configure(self) -> None:
         """Warm up all computations."""

@@ -60,8 +60,6 @@ class PlannerNode(ManagedNode):
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self.inbox.add(topics.OBSTACLES, self._on_obstacles, serialized=True, largest=LARGEST_SCENE)
         self.inbox.add(topics.GOAL_POSE, self._on_goal)
-        # States arrive much faster than plans are made; handling each would only take time from the loops.
-        self.follow(topics.JOINT_STATES, self._on_state, hurried=False)
         settings: PlannerNodeSettings = self.settings[""]
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self.settings[BUDGET] = load_budget(settings.contact_budget).resolve(self.arm)
@@ -91,6 +89,8 @@ class PlannerNode(ManagedNode):
         # Nothing is planned from what two arms report in turns.
         self.exclude([topics.JOINT_STATES, topics.SAFETY_STATE])
         self.add_on_set_parameters_callback(self._on_speed)
+        # States arrive much faster than plans are made; handling each would only take time from the loops.
+        self.follow(topics.JOINT_STATES, self._on_state, hurried=False)
 
     def configure(self) -> None:
         """Compile the solver."""

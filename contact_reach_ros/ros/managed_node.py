@@ -83,9 +83,7 @@ class ManagedNode(LifecycleNode):
         self.set_descriptor(_SIMULATED, ParameterDescriptor(read_only=True, dynamic_typing=True))
         self._simulated_ns = 0
         self._turns: Lockstep | None = None
-        """Made when the node is configured, if it follows the joint states in lockstep."""
-        self._waits_for: Sequence[str] | None = None
-        """Nodes that it waits for then, besides those that every stack has; None if it follows none."""
+        """Of a node that follows the joint states in lockstep."""
         self._bare_arm = load_arm(robot)
         self.period = 1.0 / rate
         self.settings = declare(self, {**EVERY_SECTION, **self.SECTIONS}, self._bare_arm)
@@ -179,7 +177,7 @@ class ManagedNode(LifecycleNode):
         """Subscribe to the joint states, which pace the node; `handle` gets their bytes.
 
         In lockstep a state waits for the node's turn, and others wait until it was handled, or refused.
-        Each is handled once.
+        Each is handled once. Call it when all other publishers and subscriptions are made: `ros.lockstep` explains why.
 
         Parameters
         ----------
@@ -195,28 +193,21 @@ class ManagedNode(LifecycleNode):
         if not self.lockstep:
             self.inbox.add(topic, handle, NEWEST, serialized=True, hurried=hurried)
             return
-        self._waits_for = after
 
         def take(data: bytes) -> None:
-            assert self._turns is not None
             stamp_ns = self._simulated_ns = stamp_in(data)
             try:
                 handle(data)
             finally:
-                self._turns.done(stamp_ns)
+                turns.done(stamp_ns)
 
         def ready(data: bytes) -> bool:
-            assert self._turns is not None
-            return self._stop.is_set() or not self.running or self._turns.may_handle(stamp_in(data))
+            return self._stop.is_set() or not self.running or turns.may_handle(stamp_in(data))
 
         self.inbox.add(topic, take, self.stream_qos, serialized=True, ready=ready)
-
-    def take_part(self) -> None:
-        """In lockstep make publisher and subscription of promises: after all others, as `ros.lockstep` explains."""
-        if self._waits_for is not None and self._turns is None:
-            publish, tick_ns = self.make_publisher(LOCKSTEP_HORIZON).publish, round(self.period * NANOSECONDS)
-            self._turns = Lockstep(self.NAME, tick_ns, publish, self._waits_for)
-            self.inbox.add(LOCKSTEP_HORIZON, self._turns.hear)
+        publish, tick_ns = self.make_publisher(LOCKSTEP_HORIZON).publish, round(self.period * NANOSECONDS)
+        self._turns = turns = Lockstep(self.NAME, tick_ns, publish, after)
+        self.inbox.add(LOCKSTEP_HORIZON, turns.hear)
 
     def log_intake(self, topic: Topic) -> IntakeLog:
         """Record from now on, for bags, what the inbox handles."""
@@ -272,7 +263,6 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run `configure`."""
-        self.take_part()
         return self._attempt(self.configure, super().on_configure, state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
