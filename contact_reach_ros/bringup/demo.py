@@ -8,6 +8,7 @@ import sys
 import time
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +24,8 @@ from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.report.bag import ReportBag, as_json, metrics, quantity, read_report_bag
 from contact_reach_ros.report.plot import draw_episode
 from contact_reach_ros.resources import write_text
-from contact_reach_ros.ros.client import CONTROLLER, StackClient
-from contact_reach_ros.ros.interfaces import DEMO
+from contact_reach_ros.ros.client import StackClient
+from contact_reach_ros.ros.interfaces import CONTROLLER, DEMO
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.settings import setting
@@ -33,6 +34,7 @@ from contact_reach_ros.world.scene_file import read_scene
 
 INTERRUPTED = 130
 
+_say = partial(print, flush=True)
 _LOOK_S = 0.1
 _LINE_S = 1.0
 _DYING_S = 0.5
@@ -92,7 +94,9 @@ def _run(options: DemoOptions) -> tuple[int, float]:
                 _drive_to_goal(stack, client, scene.target, options.view)
                 is_over = True
                 if options.view:
-                    _stay_up(stack)
+                    _say("the episode is over; the stack stays up for the page until Ctrl-C")
+                    while True:
+                        stack.watch(_LOOK_S)
             except KeyboardInterrupt:
                 # With the page, Ctrl-C ends a stack whose episode is over.
                 interrupted = not is_over
@@ -101,7 +105,7 @@ def _run(options: DemoOptions) -> tuple[int, float]:
                 raise
             except ContactReachError as error:
                 failure = str(error)
-            _say("ending the stack", done=True)
+            _say("ending the stack")
     if failure:
         print(f"demo: {failure}", file=sys.stderr)
     found = _judge(bag, options)
@@ -117,10 +121,10 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
     """Send the goal (3,), m, and watch until it is reached or over, the arm is stopped or the time is up."""
     began = time.monotonic()
     if view:
-        _say(f"the page will be at {page_address(stack.parameter_file)}", done=True)
-    stack.bring_up(lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
+        _say(f"the page will be at {page_address(stack.parameter_file)}")
+    stack.bring_up(_say)
     stack.wait_to_start(client)
-    _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)
+    _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m")
     client.send_goal(target, stamp_ns=stack.stamp_ns)
     client.wait_for(lambda: [] if client.goal_state else [topics.GOAL_STATE.name])
     end_ns, said_at = stack.stamp_ns + round(_TIMEOUT_S * NANOSECONDS), 0.0
@@ -132,19 +136,12 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
         if state.phase is GoalPhase.SETTLED:
             end_ns = min(end_ns, stack.stamp_ns + round(_SETTLE_S * NANOSECONDS))
         is_over = bool(client.stops) or state.phase.is_over or stack.stamp_ns > end_ns
-        if is_over or sys.stdout.isatty() or now - said_at >= _LINE_S:
+        if is_over or now - said_at >= _LINE_S:
             doing = f"stopped by {client.why_stopped}" if client.stops else client.safety[CONTROLLER]
-            _say(f"{describe(state)}; {doing}", done=is_over or not sys.stdout.isatty())
+            _say(f"{describe(state)}; {doing}")
             said_at = now
         if is_over:
             return
-        stack.watch(_LOOK_S)
-
-
-def _stay_up(stack: StackProcesses) -> None:
-    """Leave the stack to the users of the page until Ctrl-C."""
-    _say("the episode is over; the stack stays up for the page until Ctrl-C", done=True)
-    while True:
         stack.watch(_LOOK_S)
 
 
@@ -164,11 +161,3 @@ def _judge(bag: Path, options: DemoOptions) -> ReportBag | None:
     if options.json:
         write_text(Path(options.json), json.dumps(as_json(found), indent=2, allow_nan=False) + "\n")
     return found
-
-
-def _say(line: str, done: bool = False) -> None:
-    """Show progress on one line of a terminal; elsewhere print finished steps only."""
-    if sys.stdout.isatty():
-        print(f"\r\033[K{line}", end="\n" if done else "", flush=True)
-    elif done:
-        print(line, flush=True)

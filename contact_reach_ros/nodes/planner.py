@@ -37,6 +37,7 @@ from contact_reach_ros.planning.settings import PLANNER_SECTIONS, PlannerNodeSet
 from contact_reach_ros.ros.frames import Frames
 from contact_reach_ros.ros.graph import controllers
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
+from contact_reach_ros.ros.interfaces import CONTROLLER, OBSERVER
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
@@ -44,7 +45,6 @@ from contact_reach_ros.timing import Durations
 from contact_reach_ros.world.goal import POSE, Goal
 
 _POLL_NS = 3_000_000
-OBSERVER, CONTROLLER = "observer", "controller"
 
 
 class PlannerNode(ManagedNode):

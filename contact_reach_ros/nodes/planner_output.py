@@ -102,8 +102,13 @@ class PlannerOutput:
             **plan.statistics(),
             **values,
         }
-        self._statistics.publish(to_statistics(plan, numbers, self._name, self._arm))
-        self._requests.publish(to_request(request_parts(plan.number, request, start, found.best)))
+        status = to_status(self._name, plan.stop_reason, numbers)
+        self._statistics.publish(DiagnosticArray(header=_header(plan.effect_ns, self._arm), status=[status]))
+        # One part after the other; the dimensions name them.
+        parts, message = request_parts(plan.number, request, start, found.best), Float64MultiArray()
+        message.layout.dim = [MultiArrayDimension(label=name, size=part.size) for name, part in parts.items()]
+        message.data = array.array("d", np.concatenate(list(parts.values())).tobytes())
+        self._requests.publish(message)
 
     def report_goal(self, state: GoalState, stamp_ns: int) -> None:
         """Publish what happened to a goal that was sent at `stamp_ns`."""
@@ -147,19 +152,6 @@ def to_path(plan: Plan, arm: Arm) -> Path:
         pose.pose.position = to_point(position)
         path.poses.append(pose)
     return path
-
-
-def to_statistics(plan: Plan, values: Mapping[str, Any], name: str, arm: Arm) -> DiagnosticArray:
-    """What a bag keeps of how a plan was found, published by the node `name`."""
-    return DiagnosticArray(header=_header(plan.effect_ns, arm), status=[to_status(name, plan.stop_reason, values)])
-
-
-def to_request(parts: Mapping[str, Array]) -> Float64MultiArray:
-    """The parts of `plan_request` one after the other; the dimensions name them."""
-    message = Float64MultiArray()
-    message.layout.dim = [MultiArrayDimension(label=name, size=part.size) for name, part in parts.items()]
-    message.data = array.array("d", np.concatenate([part.ravel() for part in parts.values()]).tobytes())
-    return message
 
 
 def _header(time_ns: int, arm: Arm) -> Header:
