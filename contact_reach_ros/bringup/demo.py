@@ -6,6 +6,7 @@ import dataclasses
 import json
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -31,8 +32,6 @@ from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.settings import setting
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.scene_file import read_scene
-
-INTERRUPTED = 130
 
 _say = partial(print, flush=True)
 _LOOK_S = 0.1
@@ -63,7 +62,7 @@ def run_demo(options: DemoOptions) -> int:
     Raises `ContactReachError` if the scene, the goal or the settings are refused.
     """
     code, missed = _run(options)
-    if options.lockstep or options.view or code in (0, INTERRUPTED) or missed <= _MISSED_SHARE:
+    if options.lockstep or options.view or code == 0 or missed <= _MISSED_SHARE:
         return code
     print(
         f"\nThis machine is too slow, or too busy, to simulate the arm in real time: {missed:.0%} of the ticks were "
@@ -84,7 +83,7 @@ def _run(options: DemoOptions) -> tuple[int, float]:
         *(["driver:waits_for_goal=true"] if options.lockstep else []),
     )
     bringup = resolved(dataclasses.replace(options, bag=str(bag), overrides=overrides), DEMO)
-    interrupted, is_over, failure = False, False, ""
+    failure = ""
     with bare_node(DEMO) as node:
         goal = None if options.goal is None else np.array(options.goal)
         scene = make_scene(read_scene(options.scene), stack_arm(bringup), options.seed, goal)
@@ -92,14 +91,11 @@ def _run(options: DemoOptions) -> tuple[int, float]:
         with StackProcesses(client, bringup, bag.with_suffix(".log")) as stack:
             try:
                 _drive_to_goal(stack, client, scene.target, options.view)
-                is_over = True
                 if options.view:
                     _say("the episode is over; the stack stays up for the page until Ctrl-C")
-                    while True:
-                        stack.watch(_LOOK_S)
-            except KeyboardInterrupt:
-                # With the page, Ctrl-C ends a stack whose episode is over.
-                interrupted = not is_over
+                    with suppress(KeyboardInterrupt):
+                        while True:
+                            stack.watch(_LOOK_S)
             except InputError:
                 # A stack that was discovered late is refused as one that was seen before the first process.
                 raise
@@ -109,8 +105,6 @@ def _run(options: DemoOptions) -> tuple[int, float]:
     if failure:
         print(f"demo: {failure}", file=sys.stderr)
     found = _judge(bag, options)
-    if interrupted:
-        return INTERRUPTED, 0.0
     if failure or found is None:
         return 1, 0.0
     missed, ticks = (metrics(found)[name][0] for name in ("ticks missed", "ticks"))
