@@ -16,7 +16,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
-from contact_reach_ros.arms import EVERY_SECTION, ROBOT_DIGEST, TOOL, arm_settings, load_arm
+from contact_reach_ros.arms import EVERY_SECTION, ROBOT_DIGEST, TOOL, arm_settings, load_arm, make_settings
 from contact_reach_ros.errors import ContactReachError, InputError, StopCode, StopReason, internal, requested
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import IntakeLog, Taken
@@ -35,9 +35,9 @@ from contact_reach_ros.ros.boundary import TRANSITIONS, Boundary
 from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.lockstep import Lockstep
-from contact_reach_ros.ros.parameters import declare, declare_one, overrides
+from contact_reach_ros.ros.parameters import declare, overrides
 from contact_reach_ros.ros.scheduling import Role
-from contact_reach_ros.settings import AUTOSTART, CPUS, RATE, ROBOT, Sections, full_name
+from contact_reach_ros.settings import AUTOSTART, CPUS, RATE, ROBOT, Sections, declared_parameters, full_name
 from contact_reach_ros.timing import NANOSECONDS
 
 _IDLE_NS = 100_000_000
@@ -76,9 +76,8 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self) -> None:
         super().__init__(self.NAME, parameter_overrides=overrides(self.ARGUMENTS, self.NAME))
-        self.autostart, self.cpus, robot, rate = (
-            declare_one(self, entry.name, entry) for entry in (AUTOSTART, CPUS, ROBOT, RATE)
-        )
+        own = declare(self, {entry.name: entry for entry in (AUTOSTART, CPUS, ROBOT, RATE)})
+        self.autostart, self.cpus, robot, rate = own.values()
         self.lockstep = bool(self.get_parameter(_SIMULATED).value)
         self.set_descriptor(_SIMULATED, ParameterDescriptor(read_only=True, dynamic_typing=True))
         self._simulated_ns = 0
@@ -86,7 +85,9 @@ class ManagedNode(LifecycleNode):
         """Of a node that follows the joint states in lockstep."""
         self._bare_arm = load_arm(robot)
         self.period = 1.0 / rate
-        self.settings = declare(self, {**EVERY_SECTION, **self.SECTIONS}, self._bare_arm)
+        sections = {**EVERY_SECTION, **self.SECTIONS}
+        values = declare(self, declared_parameters(sections, self._bare_arm))
+        self.settings = make_settings(values, sections, self._bare_arm, f"parameters of {self.NAME}")
         self.arm = self._bare_arm.with_tool(self.settings[TOOL])
         self.boundary = Boundary(self.say, self.on_fault)
         self.refuse, self.refused = self.boundary.refuse, self.boundary.refused
