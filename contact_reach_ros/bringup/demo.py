@@ -49,7 +49,9 @@ _MISSED_SHARE = 0.02
 class DemoOptions(BringupOptions):
     """Options of the command line; with `view` the stack stays up after the episode until Ctrl-C."""
 
-    seed: int = setting(45, "seed of the scene and the sensor noise; with the default the arm touches the ball")
+    seed: int = setting(
+        45, "seed of scene and sensor noise; with the default the arm touches the ball", minimum=0, maximum=2**31 - 1
+    )
     goal: tuple[float, ...] | None = setting(None, "flange position, base frame", unit="m", optional_length=3)
     output: str = setting("bags", "where bag, plot and log go")
     json: str = setting("", "file for the result; none when empty")

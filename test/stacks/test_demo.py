@@ -180,9 +180,12 @@ def test_a_run_beside_a_busy_program_is_the_same_to_the_last_digit(ball, killed)
         assert len(same) > 10 and same == first[name][: len(same)], name
 
 
-def test_a_goal_out_of_reach_is_refused_before_anything_starts(capsys):
-    assert contact_reach("demo", "--goal", "2.0", "0.0", "0.5") == 2
-    assert "2.0" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("options", "word"), [(["--goal", "2.0", "0.0", "0.5"], "2.0"), (["--seed", "-3"], "seed = -3")]
+)
+def test_a_goal_out_of_reach_or_a_seed_that_is_none_is_refused_before_anything_starts(options, word, capsys):
+    assert contact_reach("demo", *options) == 2
+    assert word in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
