@@ -66,9 +66,9 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("--goal", nargs=3, type=float, metavar=("X", "Y", "Z"), help="flange position, m, base frame")
     demo.add_argument("--seed", type=int, help="seed of the scene and the sensor noise (default: 45)")
     demo.add_argument("--lockstep", action="store_true", help="simulated time that waits for every node")
-    demo.add_argument("--output", type=Path, help="where bag, report and log go (default: bags)")
+    demo.add_argument("--output", help="where bag, report and log go (default: bags)")
     demo.add_argument("--parameters", help="parameter file for the nodes (default: the package's)")
-    demo.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    demo.add_argument("--json", metavar="FILE", help="write the result as JSON")
     demo.add_argument("--view", action="store_true", help="serve a page for browsers, and stay up until Ctrl-C")
 
     up = add(
@@ -142,7 +142,7 @@ def _parser() -> argparse.ArgumentParser:
     view = add("view", _view, "serve a page for browsers that shows the running stack, or a bag")
     # Without a default of its own, argparse passes on the name of the suppressed one.
     view.add_argument("bag", nargs="?", default="", metavar="BAG", help="bag to show (default: the running stack)")
-    _add_arm(view, "robot")
+    _add_arm(view)
     view.add_argument("--port", type=int, help="port of the page, on this machine only (default: 8080)")
     view.add_argument("--parameters", type=Path, help="parameter file for the viewer (default: the package's)")
     _add_namespace(view)
@@ -206,13 +206,13 @@ def _add_discovery(command: argparse.ArgumentParser, what: str) -> None:
     command.add_argument("--discovery", choices=("host", "subnet"), help=f"{what} (default: host)")
 
 
-def _add_arm(command: argparse.ArgumentParser, name: str = "arm") -> None:
+def _add_arm(command: argparse.ArgumentParser) -> None:
     text = "name of the arm, or path of its URDF, xacro, MJCF or YAML file (default: the parameter file's, iiwa14)"
-    command.add_argument("--arm", dest=name, metavar="ARM", help=text)
+    command.add_argument("--arm", dest="robot", metavar="ARM", help=text)
 
 
 def _add_robot(command: argparse.ArgumentParser) -> None:
-    _add_arm(command, "robot")
+    _add_arm(command)
     command.add_argument(
         "--state-rate", type=float, metavar="HZ", help="of joint states (default: the parameter file's)"
     )

@@ -12,7 +12,6 @@ from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.ros.interfaces import (
     ADAPTER,
     DOCTOR,
-    HEARD_BY_VIEWER,
     MANAGED,
     OPERATOR,
     RECORDER,
@@ -59,6 +58,16 @@ _STOP = {"~/stop", "~/reset"}
 _STOP_AND_RESET = [f"{name}/{service}" for name in STOPPABLE for service in ("stop", "reset")]
 _EVERY_NODE_PUBLISHES = {"/parameter_events", "/rosout"}
 """Absolute, as ROS has them."""
+
+HEARD_BY_VIEWER = (
+    topics.JOINT_STATES,
+    topics.EXTERNAL_TORQUE,
+    topics.OBSTACLES,
+    topics.PLAN_MARKERS,
+    topics.SIM_CONTACTS,
+    topics.PLAN_STATISTICS,
+    topics.SAFETY_STATE,
+)
 
 _REFERENCES = [topics.REFERENCE_POSE, topics.REFERENCE_POSTURE]
 _OF_KUKA = frozenset({"lbr/state", "lbr/robot_description"})

@@ -45,7 +45,11 @@ def run_bringup(arguments: list[str]) -> int:
             _say_discovery(node, options.discovery)
             with StackProcesses(Client(node), options, passed_on=_remappings(arguments)) as stack:
                 try:
-                    _supervise(node, stack)
+                    log = node.get_logger()
+                    stack.bring_up(lambda line: log.info(line))
+                    log.info("all nodes are active; send a goal to goal_pose")
+                    while True:
+                        stack.watch(0.1)
                 except KeyboardInterrupt:
                     return 0
                 except StackError as error:
@@ -87,23 +91,6 @@ def _say_discovery(node: Node, wanted: str) -> None:
         line += f"; the environment decides, parameter discovery = '{wanted}' has no effect"
     log = node.get_logger()
     (log.info if choice == wanted == "host" else log.warning)(line)
-
-
-def _supervise(node: Node, stack: StackProcesses) -> None:
-    """Bring the stack up and watch it; raises as `StackProcesses.check`."""
-    log = node.get_logger()
-    shown = ""
-
-    def progress(line: str) -> None:
-        nonlocal shown
-        if line != shown:
-            log.info(line)
-            shown = line
-
-    stack.bring_up(progress)
-    log.info("all nodes are active; send a goal to goal_pose")
-    while True:
-        stack.watch(0.1)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.planning.settings import SPEED_SCALE
-from contact_reach_ros.ros.client import PLANNER, Outcome, StackClient, connect
+from contact_reach_ros.ros.client import Outcome, StackClient, connect
+from contact_reach_ros.ros.interfaces import PLANNER
 from contact_reach_ros.world.goal import POSE
 
 

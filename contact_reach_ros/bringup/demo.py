@@ -6,14 +6,17 @@ import dataclasses
 import json
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from contact_reach_ros.arm import Array
-from contact_reach_ros.bringup.processes import BringupOptions, page_address, resolved, stack_arm
+from contact_reach_ros.bringup.processes import page_address, resolved, stack_arm
+from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import BagError, ContactReachError, InputError
 from contact_reach_ros.messages import topics
@@ -22,15 +25,15 @@ from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.report.bag import ReportBag, as_json, metrics, quantity
 from contact_reach_ros.report.plot import draw_episode
 from contact_reach_ros.resources import write_text
-from contact_reach_ros.ros.client import CONTROLLER, StackClient
-from contact_reach_ros.ros.interfaces import DEMO
+from contact_reach_ros.ros.client import StackClient
+from contact_reach_ros.ros.interfaces import CONTROLLER, DEMO
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import make_scene
+from contact_reach_ros.settings import setting
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.scene_file import read_scene
 
-INTERRUPTED = 130
-
+_say = partial(print, flush=True)
 _LOOK_S = 0.1
 _LINE_S = 1.0
 _DYING_S = 0.5
@@ -43,22 +46,15 @@ _MISSED_SHARE = 0.02
 
 
 @dataclass(frozen=True)
-class DemoOptions:
-    """Options of the command line."""
+class DemoOptions(BringupOptions):
+    """Options of the command line; with `view` the stack stays up after the episode until Ctrl-C."""
 
-    arm: str = ""
-    """Name of the arm, or the path of its file; empty leaves it to the parameter file."""
-    scene: str = "ball"
-    seed: int = 45
-    """With which the arm touches the ball."""
-    goal: tuple[float, float, float] | None = None
-    lockstep: bool = False
-    parameters: str = ""
-    """Parameter file for the nodes; the package's own when empty."""
-    view: bool = False
-    """Whether to serve the viewer's page, and to stay up after the episode until Ctrl-C."""
-    output: Path = Path("bags")
-    json: Path | None = None
+    seed: int = setting(
+        45, "seed of scene and sensor noise; with the default the arm touches the ball", minimum=0, maximum=2**31 - 1
+    )
+    goal: tuple[float, ...] | None = setting(None, "flange position, base frame", unit="m", optional_length=3)
+    output: str = setting("bags", "where bag, plot and log go")
+    json: str = setting("", "file for the result; none when empty")
 
 
 def run_demo(options: DemoOptions) -> int:
@@ -68,7 +64,7 @@ def run_demo(options: DemoOptions) -> int:
     Raises `ContactReachError` if the scene, the goal or the settings are refused.
     """
     code, missed = _run(options)
-    if options.lockstep or options.view or code in (0, INTERRUPTED) or missed <= _MISSED_SHARE:
+    if options.lockstep or options.view or code == 0 or missed <= _MISSED_SHARE:
         return code
     print(
         f"\nThis machine is too slow, or too busy, to simulate the arm in real time: {missed:.0%} of the ticks were "
@@ -82,22 +78,14 @@ def run_demo(options: DemoOptions) -> int:
 def _run(options: DemoOptions) -> tuple[int, float]:
     """Run the demo once; returns the exit code and the share of missed ticks, 0 after a failure of the stack."""
     name = f"demo_{read_scene(options.scene).name}_{options.seed}_{datetime.now():%Y%m%d_%H%M%S}"
-    bag = options.output.resolve() / name
-    options_of_stack = BringupOptions(
-        scene=options.scene,
-        lockstep=options.lockstep,
-        bag=str(bag),
-        parameters=options.parameters,
-        view=options.view,
-        robot=options.arm,
-        overrides=(
-            f"driver:seed={options.seed}",
-            *([] if options.goal is None else [f"driver:target={' '.join(map(str, options.goal))}"]),
-            *(["driver:waits_for_goal=true"] if options.lockstep else []),
-        ),
+    bag = Path(options.output).resolve() / name
+    overrides = (
+        f"driver:seed={options.seed}",
+        *([] if options.goal is None else [f"driver:target={' '.join(map(str, options.goal))}"]),
+        *(["driver:waits_for_goal=true"] if options.lockstep else []),
     )
-    bringup = resolved(options_of_stack, DEMO)
-    interrupted, is_over, failure = False, False, ""
+    bringup = resolved(dataclasses.replace(options, bag=str(bag), overrides=overrides), DEMO)
+    failure = ""
     with bare_node(DEMO) as node:
         goal = None if options.goal is None else np.array(options.goal)
         scene = make_scene(read_scene(options.scene), stack_arm(bringup), options.seed, goal)
@@ -105,23 +93,20 @@ def _run(options: DemoOptions) -> tuple[int, float]:
         with StackProcesses(client, bringup, bag.with_suffix(".log")) as stack:
             try:
                 _drive_to_goal(stack, client, scene.target, options.view)
-                is_over = True
                 if options.view:
-                    _stay_up(stack)
-            except KeyboardInterrupt:
-                # With the page, Ctrl-C ends a stack whose episode is over.
-                interrupted = not is_over
+                    _say("the episode is over; the stack stays up for the page until Ctrl-C")
+                    with suppress(KeyboardInterrupt):
+                        while True:
+                            stack.watch(_LOOK_S)
             except InputError:
                 # A stack that was discovered late is refused as one that was seen before the first process.
                 raise
             except ContactReachError as error:
                 failure = str(error)
-            _say("ending the stack", done=True)
+            _say("ending the stack")
     if failure:
         print(f"demo: {failure}", file=sys.stderr)
     found = _judge(bag, options)
-    if interrupted:
-        return INTERRUPTED, 0.0
     if failure or found is None:
         return 1, 0.0
     missed, ticks = (metrics(found)[name][0] for name in ("ticks missed", "ticks"))
@@ -132,10 +117,10 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
     """Send the goal (3,), m, and watch until it is reached or over, the arm is stopped or the time is up."""
     began = time.monotonic()
     if view:
-        _say(f"the page will be at {page_address(stack.parameter_file)}", done=True)
-    stack.bring_up(lambda line: _say(f"{time.monotonic() - began:5.1f} s   {line}"))
+        _say(f"the page will be at {page_address(stack.parameter_file)}")
+    stack.bring_up(_say)
     stack.wait_to_start(client)
-    _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m", done=True)
+    _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m")
     client.send_goal(target, stamp_ns=stack.stamp_ns)
     client.wait_for(lambda: [] if client.goal_state else [topics.GOAL_STATE.name])
     end_ns, said_at = stack.stamp_ns + round(_TIMEOUT_S * NANOSECONDS), 0.0
@@ -147,19 +132,12 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
         if state.phase is GoalPhase.SETTLED:
             end_ns = min(end_ns, stack.stamp_ns + round(_SETTLE_S * NANOSECONDS))
         is_over = bool(client.stops) or state.phase.is_over or stack.stamp_ns > end_ns
-        if is_over or sys.stdout.isatty() or now - said_at >= _LINE_S:
+        if is_over or now - said_at >= _LINE_S:
             doing = f"stopped by {client.why_stopped}" if client.stops else client.safety[CONTROLLER]
-            _say(f"{describe(state)}; {doing}", done=is_over or not sys.stdout.isatty())
+            _say(f"{describe(state)}; {doing}")
             said_at = now
         if is_over:
             return
-        stack.watch(_LOOK_S)
-
-
-def _stay_up(stack: StackProcesses) -> None:
-    """Leave the stack to the users of the page until Ctrl-C."""
-    _say("the episode is over; the stack stays up for the page until Ctrl-C", done=True)
-    while True:
         stack.watch(_LOOK_S)
 
 
@@ -176,14 +154,6 @@ def _judge(bag: Path, options: DemoOptions) -> ReportBag | None:
     print()
     for label, text in {"result": found.verdict, **numbers, "bag": bag, "plot": plot}.items():
         print(f"  {label:40}{text}")
-    if options.json is not None:
-        write_text(options.json, json.dumps(as_json(found), indent=2, allow_nan=False) + "\n")
+    if options.json:
+        write_text(Path(options.json), json.dumps(as_json(found), indent=2, allow_nan=False) + "\n")
     return found
-
-
-def _say(line: str, done: bool = False) -> None:
-    """Show progress on one line of a terminal; elsewhere print finished steps only."""
-    if sys.stdout.isatty():
-        print(f"\r\033[K{line}", end="\n" if done else "", flush=True)
-    elif done:
-        print(line, flush=True)

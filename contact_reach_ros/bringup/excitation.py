@@ -18,14 +18,13 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.topics import Qos
-from contact_reach_ros.ros.client import PLANNER, StackClient, connect
+from contact_reach_ros.ros.client import StackClient, connect
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
-from contact_reach_ros.ros.interfaces import ADAPTER
+from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, PLANNER
 from contact_reach_ros.world.collision import COLLISION_TOLERANCE, clearances, nearest
 from contact_reach_ros.world.goal import POSE, Target
 from contact_reach_ros.world.spheres import Spheres
 
-_OBSERVER = "observer"
 _QOS = Qos(2000)
 """Joint states of two seconds may wait to be read."""
 _HEARD_S = 4.0
@@ -59,7 +58,7 @@ def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Map
     """
     with connect(discovery, namespace) as client:
         client.wait_until_ready()
-        client.wait_for(lambda: [] if _OBSERVER in client.settings else ["settings of the observer"])
+        client.wait_for(lambda: [] if OBSERVER in client.settings else ["settings of the observer"])
         is_franka = client.settings.get(ADAPTER, {}).get("kind") == FRANKA
         topic = topics.JOINT_STATES._replace(name=FRANKA_STATES) if is_franka else topics.JOINT_STATES
         reader = JointStateReader(client.arm.joint_names, topic.name)
@@ -100,7 +99,7 @@ def _obstacles(client: StackClient) -> Spheres:
 
 def _contacts(client: StackClient) -> int:
     """Number of contacts that the observer has reported."""
-    return int(client.diagnostics.get(_OBSERVER, {}).get("contacts", 0))
+    return int(client.diagnostics.get(OBSERVER, {}).get("contacts", 0))
 
 
 def _move(client: StackClient) -> None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -21,15 +22,15 @@ from contact_reach_ros.executables import end_with_parent
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.resources import PACKAGE
-from contact_reach_ros.ros.client import CONTROLLER, Client, StackClient
+from contact_reach_ros.ros.client import Client, StackClient
 from contact_reach_ros.ros.graph import refuse_beside_another
-from contact_reach_ros.ros.interfaces import RECORDER
+from contact_reach_ros.ros.interfaces import CONTROLLER, DRIVER, RECORDER
 from contact_reach_ros.ros.process import in_namespace
 from contact_reach_ros.ros.scheduling import prioritise_middleware
 from contact_reach_ros.settings import AUTOSTART, as_arguments
 
-_UP, _ACTIVE = "up", "active"
-"""A node that offers its lifecycle, and one that is in this state of it."""
+_UP, _CONFIGURED, _ACTIVE = "up", "configured", "active"
+"""A node that offers its lifecycle, and states of it."""
 _BRAKED = "braked"
 """Safety state of the simulated driver while its brakes are closed."""
 _STARTUP_S = 240.0
@@ -127,7 +128,7 @@ class StackProcesses:
         Parameters
         ----------
         progress
-            Called repeatedly with a line that names what is awaited.
+            Called with a line for what is awaited, each time that changes.
 
         Raises
         ------
@@ -139,50 +140,54 @@ class StackProcesses:
             If it was interrupted.
         """
         prioritise_middleware()
-        deadline = time.monotonic() + _STARTUP_S
+        wait_for = partial(self._await, time.monotonic() + _STARTUP_S, progress)
         first, loops = ([each for each in self._table if each.early is early] for early in (True, False))
         for process in first:
             self._start(process)
-        self._await(_UP, self._is_offered("get_state", GetState), first, deadline, progress)
+        wait_for(first, _UP, self._is_offered("get_state", GetState))
         # Once more: discovery has settled while the first processes came up.
         refuse_beside_another(self.client.node, self._names, self._running, patience=0.0)
         for process in loops:
             self._start(process)
-        self._await(_ACTIVE, self._state_of, first, deadline, progress)
+        wait_for(first, _ACTIVE, self._state_of)
         self._optional |= {process.name for process in first if not process.essential}
-        self._await(_UP, self._is_offered("change_state", ChangeState), loops, deadline, progress)
-        for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-            self._change_state(transition, loops, deadline)
+        wait_for(loops, _UP, self._is_offered("change_state", ChangeState))
+        wait_for(loops, _CONFIGURED, self._taken_to(_CONFIGURED, Transition.TRANSITION_CONFIGURE, loops))
+        wait_for(loops, _ACTIVE, self._taken_to(_ACTIVE, Transition.TRANSITION_ACTIVATE, loops))
 
     def _await(
         self,
-        wanted: str,
-        state_of: Callable[[str], str],
-        processes: Sequence[Process],
         deadline: float,
         progress: Callable[[str], None],
+        processes: Sequence[Process],
+        wanted: str,
+        state_of: Callable[[str], str],
     ) -> None:
-        missing = dict.fromkeys((process.name for process in processes), "not asked yet")
+        missing, shown = dict.fromkeys((process.name for process in processes), "not asked yet"), ""
         while missing:
             if time.monotonic() > deadline:
                 named = ", ".join(f"{name} ({state})" for name, state in missing.items())
                 raise StackError(f"not {wanted} after {_STARTUP_S:.0f} s: {named}{self._see_log()}")
-            progress("waiting for " + ", ".join(missing))
+            if (line := f"waiting for {', '.join(missing)} to be {wanted}") != shown:
+                progress(line)
+                shown = line
             missing |= {name: state_of(name) for name in missing}
             missing = {name: state for name, state in missing.items() if state != wanted}
             self.watch(_POLL_S)
 
-    def _change_state(self, transition: int, processes: Sequence[Process], deadline: float) -> None:
-        """Take nodes through a transition of their lifecycle, all at once."""
+    def _taken_to(self, wanted: str, transition: int, processes: Sequence[Process]) -> Callable[[str], str]:
+        """Ask nodes for a transition of their lifecycle, all at once; returns the state of a node by its answer."""
         request = ChangeState.Request(transition=Transition(id=transition))
         answers = {each.name: self.client.ask(f"{each.name}/change_state", ChangeState, request) for each in processes}
-        while missing := [name for name, answer in answers.items() if not answer.done()]:
-            if time.monotonic() > deadline:
-                raise StackError(f"not active after {_STARTUP_S:.0f} s: {', '.join(missing)}{self._see_log()}")
-            self.watch(_POLL_S)
-        for name, answer in answers.items():
-            if not answer.result().success:
-                raise StackError(f"{name} does not get active{self._see_log()}")
+
+        def state_of(name: str) -> str:
+            if not answers[name].done():
+                return "no answer yet"
+            if not answers[name].result().success:
+                raise StackError(f"{name} does not get {wanted}{self._see_log()}")
+            return wanted
+
+        return state_of
 
     @property
     def ids(self) -> dict[str, int]:
@@ -199,7 +204,7 @@ class StackProcesses:
             self.check()
             if client.stops:
                 raise StackError(f"stopped by {client.why_stopped}")
-            brakes = ["open brakes of the driver"] if client.safety.get("driver", _BRAKED) == _BRAKED else []
+            brakes = ["open brakes of the driver"] if client.safety.get(DRIVER, _BRAKED) == _BRAKED else []
             recorded = (topics.GOAL_POSE, topics.JOINT_STATES) if RECORDER in self._names else ()
             unheard = [f"{topic.name} by the {RECORDER}" for topic in recorded if not client.hears(RECORDER, topic)]
             return [*client.missing(), *brakes, *unheard]

@@ -28,12 +28,12 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.values import numbers
 from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.resources import write_text
-from contact_reach_ros.ros.client import CONTROLLER, StackClient
+from contact_reach_ros.ros.client import StackClient
+from contact_reach_ros.ros.interfaces import CONTROLLER, DRIVER
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import load_scene
 
 NAME = "fitness"
-DRIVER = "driver"
 SCENE = "ball"
 """Where the arm moves to and fro between its start and the target."""
 

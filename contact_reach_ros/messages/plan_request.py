@@ -97,9 +97,7 @@ def read_memory(parts: Parts, request: Request, knot_duration_s: float, ramp_s: 
         nearest, *postures = np.reshape(numbers, (-1, len(request.q)))
         path = np.reshape(parts.get("detour path", postures[-1]), (-1, len(request.q)))
         detour = Detour(nearest, waited, int(number), bool(is_on), np.array(postures), path)
-    effect_ns = trajectories[-1].effect_ns
-    if "last effect" in parts:
-        effect_ns = request.state_ns + int(parts["last effect"][0])
+    effect_ns = request.state_ns + int(parts["last effect"][0])
     last = request._replace(effect_ns=effect_ns, goal=_goal(parts["last goal"]), detour=detour)
     *position, share = parts["approach"].tolist()
     approach, plans = Approach(np.array(position), share), int(parts["plans since reset"][0])

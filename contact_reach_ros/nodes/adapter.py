@@ -24,13 +24,12 @@ from contact_reach_ros.messages.serialized import JointStateReader, joint_state_
 from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
-from contact_reach_ros.ros.interfaces import OBSERVER
+from contact_reach_ros.ros.interfaces import CONTROLLER, OBSERVER
 from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.timing import Durations, StampOrder
 
-_CONTROLLER = "controller"
 _GRAVITY = "gravity_compensation"
 _IDLE_NS = 100_000_000
 _SLEW_S, _REST_S = 0.1, 1.0
@@ -61,8 +60,6 @@ class AdapterNode(StoppableNode):
             )
             self._target.listen(self.inbox, self._forward, self.stream_qos)
         self.inbox.add(topics.ADAPTER_COMMANDS, self._on_command, self.stream_qos, serialized=True)
-        # Commands come at the same rate: a state need not wake the loop up.
-        self.follow(topics.JOINT_STATES, self._on_state, hurried=False)
         self.inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._guard = self._make_guard()
@@ -77,6 +74,8 @@ class AdapterNode(StoppableNode):
         self._last_sign = (0, 0.0)
         """The number of states when the drive last gave a sign of life, and when that was, s."""
         self.exclude([topics.JOINT_STATES, self._target.topic, topics.ADAPTER_COMMANDS])
+        # Commands come at the same rate: a state need not wake the loop up.
+        self.follow(topics.JOINT_STATES, self._on_state, hurried=False)
 
     def configure(self) -> None:
         """Warm up all computations."""
@@ -236,7 +235,7 @@ class AdapterNode(StoppableNode):
 
     def _on_settings(self, message: DiagnosticStatus) -> None:
         values, differs = read_settings(message), ""
-        if message.name == _CONTROLLER:
+        if message.name == CONTROLLER:
             own, name = self.settings[""].gravity_compensation, f"supervision.{_GRAVITY}"
             controllers = values.get(name, own)
             differs = f"{_GRAVITY} = {own}, and {name} = {controllers} in the controller" if controllers != own else ""

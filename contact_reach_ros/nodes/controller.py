@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from contact_reach_ros.agreement import OF_PLANS, differences
 from contact_reach_ros.arm import BLIND_AFTER
@@ -27,13 +27,12 @@ from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.observer.budget import BUDGET, load_budget
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS, ObserverSettings
-from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, OBSERVER
+from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, OBSERVER, PLANNER
 from contact_reach_ros.ros.managed_node import StoppableNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
 from contact_reach_ros.timing import Durations
 
-_PLANNER = "planner"
 _OF_THE_OBSERVER = tuple(f"{prefix}." for prefix in (*OBSERVER_SECTIONS, BUDGET) if prefix)
 """Settings that have to be the observer's; not `contact_budget`, as the same budget may lie in two files."""
 
@@ -60,12 +59,8 @@ class ControllerNode(StoppableNode):
         # Safety before joint states: a tick uses everything that came before it. Plans take effect later, and reading
         # one takes as long as a tick, so they come after it.
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
-        self.inbox.add(topics.REFERENCE_POSE, self._on_poses, hurried=False)
-        self.inbox.add(topics.REFERENCE_POSTURE, self._on_postures, hurried=False)
-        after = [ADAPTER] if commands is topics.ADAPTER_COMMANDS else []
-        self.follow(topics.JOINT_STATES, self._on_state, after=after)
         self._intake = self.log_intake(topics.CONTROLLER_INTAKE)
-        self.inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS)
+        self.inbox.add(topics.SETTINGS, self._on_settings, topics.ALL_EVENTS, hurried=False)
         self._disagreement = ""
         """What the planner plans with and this controller has not."""
         self._other_watch = ""
@@ -73,13 +68,17 @@ class ControllerNode(StoppableNode):
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         self._writer = command_writer(self.arm.n)
         self._controller = self._make_controller()
-        self._plans = PlanReader(self._controller)
+        plans = PlanReader(self._controller)
+        self.inbox.add(topics.REFERENCE_POSE, partial(self._on_half, plans.take_poses), hurried=False)
+        self.inbox.add(topics.REFERENCE_POSTURE, partial(self._on_half, plans.take_postures), hurried=False)
         if self._watches:
             self._controller.watch_with(self._make_watcher())
         self._controller.not_yet = "still looking for other publishers"
         self._compute = Durations()
         self._published_mode: tuple[Mode, str] | None = None
         self.exclude([*ALONE, topics.SAFETY_STATE, *adapted])
+        after = [ADAPTER] if commands is topics.ADAPTER_COMMANDS else []
+        self.follow(topics.JOINT_STATES, self._on_state, after=after)
 
     def configure(self) -> None:
         """Warm up all computations."""
@@ -167,27 +166,21 @@ class ControllerNode(StoppableNode):
 
     def _on_settings(self, message: DiagnosticStatus) -> None:
         own = self.reported_settings()
-        if message.name == _PLANNER:
-            self._disagreement = differences(own, read_settings(message), _PLANNER, OF_PLANS)
+        if message.name == PLANNER:
+            self._disagreement = differences(own, read_settings(message), PLANNER, OF_PLANS)
         elif message.name == OBSERVER and self._watches:
             differs = differences(own, read_settings(message), OBSERVER, _OF_THE_OBSERVER)
             hint = "start both with the same parameter file, or with supervision.watch_itself: false"
             self._other_watch = f"observer and controller disagree: {differs}; {hint}" if differs else ""
 
-    def _check_agreement(self) -> None:
+    def _on_half(self, take: Callable[[Any], None], message: Any) -> None:
+        """Take the poses or postures of a plan; raises as `PlanReader`, or if the planner plans with other settings."""
         if self._disagreement:
             raise InputError(
                 f"planner and controller disagree: {self._disagreement}; its plans are not followed: start both with "
                 "the same parameters"
             )
-
-    def _on_poses(self, message: MultiDOFJointTrajectory) -> None:
-        self._check_agreement()
-        self._plans.take_poses(message)
-
-    def _on_postures(self, message: JointTrajectory) -> None:
-        self._check_agreement()
-        self._plans.take_postures(message)
+        take(message)
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
         if message.name == OBSERVER:

@@ -33,7 +33,6 @@ class ObserverNode(StoppableNode):
         self._write_torque = self.make_writer(topics.EXTERNAL_TORQUE)
         self._write_wrench = self.make_writer(topics.EXTERNAL_WRENCH)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
-        self.follow(topics.JOINT_STATES, self._on_state)
         self._intake = self.log_intake(topics.OBSERVER_INTAKE)
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         source: SourceSettings = self.settings[""]
@@ -45,6 +44,7 @@ class ObserverNode(StoppableNode):
         self.exclude([topics.JOINT_STATES])
         self._seen_ns = 0
         """When the last new state came, on the watchdogs' clock."""
+        self.follow(topics.JOINT_STATES, self._on_state)
 
     def configure(self) -> None:
         """Warm up all computations."""

@@ -38,6 +38,7 @@ from contact_reach_ros.planning.settings import PLANNER_SECTIONS, PlannerNodeSet
 from contact_reach_ros.ros.frames import Frames
 from contact_reach_ros.ros.graph import controllers
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
+from contact_reach_ros.ros.interfaces import CONTROLLER, OBSERVER
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import run
@@ -45,7 +46,6 @@ from contact_reach_ros.timing import Durations
 from contact_reach_ros.world.goal import POSE, Goal
 
 _POLL_NS = 3_000_000
-OBSERVER, CONTROLLER = "observer", "controller"
 
 
 class PlannerNode(ManagedNode):
@@ -61,8 +61,6 @@ class PlannerNode(ManagedNode):
         self.inbox.add(topics.SAFETY_STATE, self._on_safety, topics.ALL_EVENTS)
         self.inbox.add(topics.OBSTACLES, self._on_obstacles, serialized=True, largest=LARGEST_SCENE)
         self.inbox.add(topics.GOAL_POSE, self._on_goal)
-        # States arrive much faster than plans are made; handling each would only take time from the loops.
-        self.follow(topics.JOINT_STATES, self._on_state, hurried=False)
         settings: PlannerNodeSettings = self.settings[""]
         self._reader = JointStateReader(self.arm.joint_names, topics.JOINT_STATES.name)
         observer = settings_of(self.ARGUMENTS, OBSERVER, OBSERVER_SECTIONS, self.arm)[""]
@@ -93,6 +91,8 @@ class PlannerNode(ManagedNode):
         # Nothing is planned from what two arms report in turns.
         self.exclude([topics.JOINT_STATES, topics.SAFETY_STATE])
         self.add_on_set_parameters_callback(self._on_speed)
+        # States arrive much faster than plans are made; handling each would only take time from the loops.
+        self.follow(topics.JOINT_STATES, self._on_state, hurried=False)
 
     def configure(self) -> None:
         """Compile the solver."""

@@ -35,7 +35,7 @@ _STALLED_NS = 500_000_000
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Make the parser of the options of `run_replay`."""
+    """Make the parser of the options."""
     parser = argparse.ArgumentParser(prog=REPLAY, description="Publishes a bag's messages under /replay.")
     parser.add_argument("bag", type=Path, metavar="BAG", help="a directory, or one mcap file")
     parser.add_argument("--rate", type=float, default=1.0, help="recorded time per time, 0.01 to 100 (default: 1)")
@@ -52,31 +52,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         own = without_ros_arguments(given)
         options = make_parser().parse_args(own[1:])
+        if not _RATES[0] <= options.rate <= _RATES[1]:
+            raise InputError(f"--rate {options.rate:g}: expected {_RATES[0]:g} to {_RATES[1]:g}")
+        reader = BagReader(options.bag)
+        for note in reader.notes:
+            print(f"{REPLAY}: {note}", file=sys.stderr)
+        if not 0.0 <= options.start <= reader.duration:
+            raise InputError(f"--start {options.start:g}: expected 0 to {reader.duration:.3f} s, which the bag has")
+        chosen = choose_topics(reader, options.topics)
+        stopped = threading.Event()
         # ROS ignores arguments that are not its own.
-        run_replay(options, [REPLAY, *(given[1:] if len(own) < len(given) else [])])
+        with bare_node(REPLAY, options.discovery, given if len(own) < len(given) else ()) as node:
+            for number in (signal.SIGINT, signal.SIGTERM):
+                signal.signal(number, lambda *_: stopped.set())
+            publish(node, reader, chosen, options, stopped)
     except ContactReachError as error:
         print(f"{REPLAY}: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
-
-
-def run_replay(options: argparse.Namespace, arguments: Sequence[str] = (REPLAY,)) -> None:
-    """Replay a bag with these options until its end, Ctrl-C or SIGTERM.
-
-    Raises `ContactReachError` if the options or the bag are refused.
-    """
-    if not _RATES[0] <= options.rate <= _RATES[1]:
-        raise InputError(f"--rate {options.rate:g}: expected {_RATES[0]:g} to {_RATES[1]:g}")
-    reader = BagReader(options.bag)
-    for note in reader.notes:
-        print(f"{REPLAY}: {note}", file=sys.stderr)
-    if not 0.0 <= options.start <= reader.duration:
-        raise InputError(f"--start {options.start:g}: expected 0 to {reader.duration:.3f} s, which the bag has")
-    chosen = choose_topics(reader, options.topics)
-    stopped = threading.Event()
-    with bare_node(REPLAY, options.discovery, arguments) as node:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: stopped.set())
-        publish(node, reader, chosen, options, stopped)
 
 
 def choose_topics(reader: BagReader, wanted: Sequence[str] | None) -> dict[str, type]:

@@ -32,11 +32,9 @@ from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros.graph import goal_topic, takes_commands
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
-from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, OPERATOR, STOPPABLE
+from contact_reach_ros.ros.interfaces import ADAPTER, CONTROLLER, OBSERVER, OPERATOR, PLANNER, STOPPABLE
 from contact_reach_ros.ros.process import bare_node, in_namespace
 from contact_reach_ros.timing import NANOSECONDS
-
-PLANNER, CONTROLLER = "planner", "controller"
 
 _LOOK_S = 0.02
 _FOUND_S = 4.0

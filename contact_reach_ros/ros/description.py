@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import yaml
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from contact_reach_ros.arms import load_arm
@@ -17,8 +17,9 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.messages.topics import ROBOT_DESCRIPTION, Qos
 from contact_reach_ros.resources import cache_directory
 from contact_reach_ros.ros.graph import node_of
-from contact_reach_ros.ros.inbox import qos_profile
+from contact_reach_ros.ros.inbox import Inbox
 from contact_reach_ros.settings import read_yaml
+from contact_reach_ros.timing import NANOSECONDS
 
 _PATIENCE_S = 5.0
 _OTHERS_S = 0.5
@@ -85,25 +86,16 @@ def description_file(node: Node, robot: str) -> str:
 
 def _hear(node: Node) -> str:
     """The description that is published."""
-    topic, heard = ROBOT_DESCRIPTION, list[str]()
-
-    def hear(message: Any) -> None:
-        heard.append(message.data)
-
-    qos = qos_profile(Qos(10, latched=True))
-    subscription = node.create_subscription(topic.type, topic.name, hear, qos)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    topic, heard, inbox = ROBOT_DESCRIPTION, list[str](), Inbox(node, lambda what, error: None)
+    inbox.add(topic, lambda message: heard.append(message.data), Qos(10, latched=True), largest=sys.maxsize)
     end = time.monotonic() + _PATIENCE_S
     while (left := end - time.monotonic()) > 0.0:
         nothing = not heard
-        executor.spin_once(timeout_sec=left)
+        inbox.wait(int(left * NANOSECONDS))
         if nothing and heard:
             end = time.monotonic() + _OTHERS_S
-    executor.shutdown()
     name = node.resolve_topic_name(topic.name)
     publishers = ", ".join(sorted(node_of(each) for each in node.get_publishers_info_by_topic(name)))
-    node.destroy_subscription(subscription)
     if not heard:
         silent = f"published by {publishers}, but not latched (transient local)" if publishers else "nobody publishes"
         raise SettingsError(

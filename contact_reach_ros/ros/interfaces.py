@@ -9,23 +9,14 @@ from contact_reach_ros.control.supervisor import RESET_ORDER
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
 
-OBSERVER, ADAPTER, RECORDER, VIEWER, DEMO, REPLAY = "observer", "adapter", "recorder", "viewer", "demo", "replay"
+DRIVER, CONTROLLER, OBSERVER, PLANNER = "driver", "controller", "observer", "planner"
+ADAPTER, RECORDER, VIEWER, DEMO, REPLAY = "adapter", "recorder", "viewer", "demo", "replay"
 DOCTOR = "contact_reach_doctor"
 OPERATOR = "operator"
 """The node of contact-reach goto, home, identify, speed, stop and reset."""
 
 STOPPABLE = RESET_ORDER[::-1]
 """Nodes with the services ~/stop and ~/reset."""
-
-HEARD_BY_VIEWER = (
-    topics.JOINT_STATES,
-    topics.EXTERNAL_TORQUE,
-    topics.OBSTACLES,
-    topics.PLAN_MARKERS,
-    topics.SIM_CONTACTS,
-    topics.PLAN_STATISTICS,
-    topics.SAFETY_STATE,
-)
 
 _REFERENCES = (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
 ALONE = (topics.JOINT_STATES, topics.COMMANDS, *_REFERENCES)
@@ -37,14 +28,14 @@ def _topics(*published: Topic) -> frozenset[str]:
 
 
 MANAGED = {
-    "driver": _topics(
+    DRIVER: _topics(
         topics.JOINT_STATES,
         topics.SIM_CONTACTS,
         topics.OBSTACLES,
         topics.CLOCK,
         topics.SAFETY_STATE,
     ),
-    "controller": _topics(
+    CONTROLLER: _topics(
         topics.COMMANDS,
         topics.ADAPTER_COMMANDS,
         topics.SHADOW_COMMANDS,
@@ -59,7 +50,7 @@ MANAGED = {
         topics.OBSERVER_INTAKE,
         topics.LOCKSTEP_HORIZON,
     ),
-    "planner": _topics(
+    PLANNER: _topics(
         *_REFERENCES,
         topics.PLAN_PATH,
         topics.PLAN_MARKERS,

@@ -16,7 +16,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
-from contact_reach_ros.arms import EVERY_SECTION, ROBOT_DIGEST, TOOL, arm_settings, load_arm
+from contact_reach_ros.arms import EVERY_SECTION, ROBOT_DIGEST, TOOL, arm_settings, load_arm, make_settings
 from contact_reach_ros.errors import ContactReachError, InputError, StopCode, StopReason, internal, requested
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.intake import IntakeLog, Taken
@@ -32,12 +32,12 @@ from contact_reach_ros.messages.topics import (
 )
 from contact_reach_ros.resources import VERSION
 from contact_reach_ros.ros.boundary import TRANSITIONS, Boundary
-from contact_reach_ros.ros.graph import LOOK_AROUND_S, mismatches, rivalry
+from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.lockstep import Lockstep
-from contact_reach_ros.ros.parameters import declare, declare_one, overrides
+from contact_reach_ros.ros.parameters import declare, overrides
 from contact_reach_ros.ros.scheduling import Role
-from contact_reach_ros.settings import AUTOSTART, CPUS, RATE, ROBOT, Sections, full_name
+from contact_reach_ros.settings import AUTOSTART, CPUS, RATE, ROBOT, Sections, declared_parameters, full_name
 from contact_reach_ros.timing import NANOSECONDS
 
 _IDLE_NS = 100_000_000
@@ -76,19 +76,18 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self) -> None:
         super().__init__(self.NAME, parameter_overrides=overrides(self.ARGUMENTS, self.NAME))
-        self.autostart, self.cpus, robot, rate = (
-            declare_one(self, entry.name, entry) for entry in (AUTOSTART, CPUS, ROBOT, RATE)
-        )
+        own = declare(self, {entry.name: entry for entry in (AUTOSTART, CPUS, ROBOT, RATE)})
+        self.autostart, self.cpus, robot, rate = own.values()
         self.lockstep = bool(self.get_parameter(_SIMULATED).value)
         self.set_descriptor(_SIMULATED, ParameterDescriptor(read_only=True, dynamic_typing=True))
         self._simulated_ns = 0
         self._turns: Lockstep | None = None
-        """Made when the node is configured, if it follows the joint states in lockstep."""
-        self._waits_for: Sequence[str] | None = None
-        """Nodes that it waits for then, besides those that every stack has; None if it follows none."""
+        """Of a node that follows the joint states in lockstep."""
         self._bare_arm = load_arm(robot)
         self.period = 1.0 / rate
-        self.settings = declare(self, {**EVERY_SECTION, **self.SECTIONS}, self._bare_arm)
+        sections = {**EVERY_SECTION, **self.SECTIONS}
+        values = declare(self, declared_parameters(sections, self._bare_arm))
+        self.settings = make_settings(values, sections, self._bare_arm, f"parameters of {self.NAME}")
         self.arm = self._bare_arm.with_tool(self.settings[TOOL])
         self.boundary = Boundary(self.say, self.on_fault)
         self.refuse, self.refused = self.boundary.refuse, self.boundary.refused
@@ -99,7 +98,6 @@ class ManagedNode(LifecycleNode):
         self._diagnostics = self.make_publisher(DIAGNOSTICS)
         self._settings_publisher = self.make_publisher(SETTINGS)
         self._stop = threading.Event()
-        self._counts: dict[tuple[str, str], int] = {}
         self._lines: deque[str] = deque()
         self._said = self.create_guard_condition(self.write_out)
         self.every(1.0, self._publish_diagnostics)
@@ -180,7 +178,7 @@ class ManagedNode(LifecycleNode):
         """Subscribe to the joint states, which pace the node; `handle` gets their bytes.
 
         In lockstep a state waits for the node's turn, and others wait until it was handled, or refused.
-        Each is handled once.
+        Each is handled once. Call it when all other publishers and subscriptions are made: `ros.lockstep` explains why.
 
         Parameters
         ----------
@@ -196,28 +194,21 @@ class ManagedNode(LifecycleNode):
         if not self.lockstep:
             self.inbox.add(topic, handle, NEWEST, serialized=True, hurried=hurried)
             return
-        self._waits_for = after
 
         def take(data: bytes) -> None:
-            assert self._turns is not None
             stamp_ns = self._simulated_ns = stamp_in(data)
             try:
                 handle(data)
             finally:
-                self._turns.done(stamp_ns)
+                turns.done(stamp_ns)
 
         def ready(data: bytes) -> bool:
-            assert self._turns is not None
-            return self._stop.is_set() or not self.running or self._turns.may_handle(stamp_in(data))
+            return self._stop.is_set() or not self.running or turns.may_handle(stamp_in(data))
 
         self.inbox.add(topic, take, self.stream_qos, serialized=True, ready=ready)
-
-    def take_part(self) -> None:
-        """In lockstep make publisher and subscription of promises: after all others, as `ros.lockstep` explains."""
-        if self._waits_for is not None and self._turns is None:
-            publish, tick_ns = self.make_publisher(LOCKSTEP_HORIZON).publish, round(self.period * NANOSECONDS)
-            self._turns = Lockstep(self.NAME, tick_ns, publish, self._waits_for)
-            self.inbox.add(LOCKSTEP_HORIZON, self._turns.hear)
+        publish, tick_ns = self.make_publisher(LOCKSTEP_HORIZON).publish, round(self.period * NANOSECONDS)
+        self._turns = turns = Lockstep(self.NAME, tick_ns, publish, after)
+        self.inbox.add(LOCKSTEP_HORIZON, turns.hear)
 
     def log_intake(self, topic: Topic) -> IntakeLog:
         """Record from now on, for bags, what the inbox handles."""
@@ -273,7 +264,6 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run `configure`."""
-        self.take_part()
         return self._attempt(self.configure, super().on_configure, state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -351,8 +341,6 @@ class ManagedNode(LifecycleNode):
 
     def _publish_diagnostics(self) -> None:
         self._log_refusals()
-        for line in mismatches(self, self.inbox.subscriptions, self._counts):
-            self.get_logger().warning(line)
         summary, values = self.diagnosis()
         refused: dict[str, Any] = {f"refused {what}": count for what, count in self.refused.items()}
         refused |= {f"last refusal of {what}": text for what, text in self.boundary.reasons.items()}

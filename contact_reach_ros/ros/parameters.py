@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
@@ -23,54 +22,34 @@ from contact_reach_ros.settings import (
     check_node_name,
     check_node_names,
     check_values,
-    declared_parameters,
     parameters_in,
     parse_yaml,
 )
 
 
-def declare(node: Node, sections: Sections, arm: Arm) -> dict[str, Any]:
-    """Declare all settings as parameters and return them, one settings object by prefix.
+def declare(node: Node, entries: Mapping[str, Setting]) -> dict[str, Any]:
+    """Declare settings, by their full names, as parameters of a node; returns their values.
 
-    Raises `SettingsError` if a parameter has a value that is not accepted.
-
-    Parameters
-    ----------
-    node
-        That has them.
-    sections
-        Settings by prefix.
-    arm
-        Gives settings with a value for each joint their length and default.
+    Raises `SettingsError` if a value is not accepted.
     """
-    entries = declared_parameters(sections, arm).items()
-    values = {name: declare_one(node, name, entry) for name, entry in entries}
-    return make_settings(values, sections, arm, f"parameters of {node.get_name()}")
-
-
-def declare_one(node: Node, name: str, entry: Setting) -> Any:
-    """Declare a setting as a parameter with this full name, and return its value.
-
-    Raises `SettingsError` if the value is not accepted.
-    """
-    unit = f" [{entry.unit}]" if entry.unit else ""
-    descriptor = ParameterDescriptor(
-        description=f"{entry.description}{unit}",
-        additional_constraints=entry.accepts,
-        read_only=not entry.changeable,
-        # A whole number is accepted for a float; `check` converts it.
-        dynamic_typing=entry.kind is float,
-    )
-    try:
-        if entry.is_open_list:
-            # ROS cannot tell the type of an empty list.
-            value = node.declare_parameter(name, Parameter.Type.STRING_ARRAY, descriptor).value
-            return [text for text in value or [] if text]
+    values = {}
+    for name, entry in entries.items():
+        unit = f" [{entry.unit}]" if entry.unit else ""
+        descriptor = ParameterDescriptor(
+            description=f"{entry.description}{unit}",
+            additional_constraints=entry.accepts,
+            read_only=not entry.changeable,
+            # `check` accepts a whole number for a float, too; but ROS cannot tell the type of an empty list.
+            dynamic_typing=not entry.is_open_list,
+        )
         default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
-        value = node.declare_parameter(name, default, descriptor).value
-    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        raise SettingsError(f"parameter {name} of {node.get_name()}: expected {entry.accepts}; {error}") from error
-    return entry.check(value, f"parameter {name} of {node.get_name()}")
+        if entry.is_open_list:
+            texts = node.declare_parameter(name, Parameter.Type.STRING_ARRAY, descriptor).value
+            value = [text for text in texts or [] if text]
+        else:
+            value = node.declare_parameter(name, default, descriptor).value
+        values[name] = entry.check(value, f"parameter {name} of {node.get_name()}")
+    return values
 
 
 def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections) -> dict[str, Any]:

@@ -60,7 +60,7 @@ def test_a_fault_in_reading_references_stops_the_arm_compliantly(controller, mon
     node, give = controller
     reported = []
     monkeypatch.setattr(node.boundary, "_report", reported.append)
-    monkeypatch.setattr("contact_reach_ros.nodes.controller.PlanReader.take_postures", lambda *_: 1 / 0)
+    monkeypatch.setattr("contact_reach_ros.messages.plan_reader.read_postures", lambda *_: 1 / 0)
     for _ in range(3):
         hand_in(node.inbox, topics.REFERENCE_POSTURE, serialize_message(JointTrajectory()))
         give()

@@ -16,6 +16,7 @@ from builtin_interfaces.msg import Time
 from hostile import hostile
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from interfaces import HEARD_BY_VIEWER
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from plans import make_plan
@@ -39,7 +40,6 @@ from contact_reach_ros.nodes.observer import ObserverNode
 from contact_reach_ros.nodes.planner import PlannerNode
 from contact_reach_ros.nodes.recorder import RecorderNode
 from contact_reach_ros.nodes.viewer import ViewerNode
-from contact_reach_ros.ros.interfaces import HEARD_BY_VIEWER
 from contact_reach_ros.ros.lockstep import Lockstep
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.obstacle import BallSettings, WallSettings

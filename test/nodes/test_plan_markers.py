@@ -6,9 +6,9 @@ from plans import make_plan
 from visualization_msgs.msg import Marker
 
 from contact_reach_ros.arm import link_frames
-from contact_reach_ros.messages.plan_messages import to_markers
 from contact_reach_ros.messages.plan_reader import read_plan
 from contact_reach_ros.messages.values import vector
+from contact_reach_ros.nodes.planner_output import to_markers
 from contact_reach_ros.world.collision import capsule_segments
 
 Q = HOME + 0.05 * np.arange(4)[:, None] * np.arange(1, 8)

@@ -10,8 +10,8 @@ from plans import make_plan
 
 from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.messages.plan_messages import to_references
 from contact_reach_ros.messages.plan_reader import PlanReader
+from contact_reach_ros.nodes.planner_output import to_references
 
 POSE, POSTURE = "pose", "posture"
 MS = TICK_NS

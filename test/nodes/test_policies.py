@@ -51,9 +51,8 @@ def interface(name, mode):
     of_franka = "kind:=franka" in mode and name != "driver"
     with ros(*mode, "port:=0", more=("-r", f"joint_states:={FRANKA_STATES}") if of_franka else ()):
         node = NODES[name]()
-        # As it does when it is configured, and active.
-        node.take_part()
         if isinstance(node, PlannerNode):
+            # As it does when it is active.
             node.describe_robot()
         found = used_by(node)
         node.destroy_node()
