@@ -217,17 +217,6 @@ class Arm:
         sets = {name: tuple(map(shifted, inertias, x, y)) for name, inertias in self.inertia_sets.items()}
         return dataclasses.replace(self, inertia_sets=sets)
 
-    def joint_index(self, name: str) -> int:
-        """Index of a joint, counted from zero.
-
-        Raises `SettingsError` if there is no such joint; the message lists the names that exist.
-        """
-        try:
-            return self.joint_names.index(name)
-        except ValueError:
-            known = ", ".join(self.joint_names)
-            raise SettingsError(f"joint '{name}' is unknown; the arm's joints are {known}") from None
-
     def default(self, setting: str) -> tuple[float, ...]:
         """Default of a setting with one value per joint."""
         return self.defaults.get(setting, (0.0,) * self.n)

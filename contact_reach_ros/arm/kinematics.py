@@ -1,4 +1,4 @@
-"""Kinematics and inertia straight from an arm's table (numpy, no model library)."""
+"""Kinematics straight from an arm's table (numpy, no model library)."""
 
 from __future__ import annotations
 
@@ -95,19 +95,6 @@ def tip_positions(arm: Arm, q: Array) -> Array:
     # Frames take 100 numbers a posture, and an hour's recording has many.
     parts = (q[first : first + _MANY] for first in range(0, max(len(q), 1), _MANY))
     return np.concatenate([link_frames_of_many(arm, part)[1][-1].T for part in parts])
-
-
-def mass_matrix(arm: Arm, q: ArrayLike) -> Array:
-    """M(q), (n, n), kg m², armature included, at `q` (n,), rad."""
-    rotations, origins = link_frames(arm, q)
-    turns, mass = np.array(rotations)[:-1, :, 2], np.diag([joint.armature for joint in arm.joints])
-    for link, inertia in enumerate(arm.inertias()):
-        moved, rotation = slice(link + 1), rotations[link]
-        center = origins[link] + rotation @ inertia.center
-        linear = np.cross(turns[moved], center - np.array(origins[moved]))
-        tensor = rotation @ tensor_matrix(inertia.tensor) @ rotation.T
-        mass[moved, moved] += inertia.mass * linear @ linear.T + turns[moved] @ tensor @ turns[moved].T
-    return mass
 
 
 def tensor_matrix(tensor: tuple[float, ...]) -> Array:

@@ -16,13 +16,11 @@ from contact_reach_ros.arm.mount import scene_frame, tilt
 from contact_reach_ros.arm.urdf_tree import LIMITS, TENSOR
 
 
-def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
+def build_urdf(arm: Arm) -> str:
     """Build the URDF text of an arm, with the same link frames as the MJCF.
 
     Readers of URDFs let gravity act along -z of the root. That is the base, or for a tilted one a link without a shape
     that the base is fixed to.
-
-    Raises `SettingsError` if the inertia set is unknown.
     """
     robot = Element("robot", name=arm.name)
     parent = arm.base_frame
@@ -34,8 +32,7 @@ def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
     base = SubElement(robot, "link", name=parent)
     for capsule in arm.base_capsules:
         _add_capsule(base, capsule)
-    inertias = arm.inertias(inertia_set)
-    for number, (joint, name, inertia) in enumerate(zip(arm.joints, arm.link_names, inertias, strict=True), 1):
+    for number, (joint, name, inertia) in enumerate(zip(arm.joints, arm.link_names, arm.inertias(), strict=True), 1):
         link = SubElement(robot, "link", name=name)
         add_inertial(link, inertia)
         for capsule in arm.capsules:
