@@ -1,7 +1,6 @@
 """The arm: its kinematics and dynamics, and the MJCF, URDF and Pinocchio model made from its table."""
 
-from contact_reach_ros.arm.arm import Arm, Capsule, Inertia, Joint, Quaternion, Vector3
-from contact_reach_ros.arm.arrays import Array, checked_array
+from contact_reach_ros.arm.arm import Arm, Array, Capsule, Inertia, Joint, Quaternion, Vector3, checked_array
 from contact_reach_ros.arm.joint_state import (
     BLIND_AFTER,
     REST_SPEED,

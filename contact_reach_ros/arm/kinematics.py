@@ -1,4 +1,4 @@
-"""Kinematics straight from an arm's table (numpy, no model library)."""
+"""Kinematics straight from an arm's table (numpy, no model library), and the tasks that its joints can hold."""
 
 from __future__ import annotations
 
@@ -7,9 +7,16 @@ import functools
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contact_reach_ros.arm.arm import PARALLEL, Arm, Vector3
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import PARALLEL, Arm, Array, Vector3
+from contact_reach_ros.errors import SettingsError
 
+POSE, AXIS, POSITION = "pose", "position_and_axis", "position"
+TASK_ROWS = {POSE: 6, AXIS: 5, POSITION: 3}
+"""Rows of each task: translation and rotation, translation and the direction of the tip's z axis, or translation."""
+
+_POSTURES = 200
+_LEAST_QUALITY = 0.02
+"""Smallest singular value, with lengths in units of the reach, from which a Jacobian has full rank."""
 _MANY = 10_000
 """Postures at once."""
 
@@ -31,6 +38,15 @@ def rotation_about(axis: ArrayLike, angle: float) -> Array:
     x, y, z = axis = np.asarray(axis, dtype=float)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.cos(angle) * np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * np.outer(axis, axis)
+
+
+def frame_about(axis: Array) -> Array:
+    """The smallest rotation (3, 3) that turns z into the direction of `axis` (3,); exact for ±x, ±y and ±z."""
+    x, y, z = axis / np.linalg.norm(axis)
+    if z < -1.0 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    share = 1.0 / (1.0 + z)
+    return np.array([[1.0 - share * x * x, -share * x * y, x], [-share * x * y, 1.0 - share * y * y, y], [-x, -y, z]])
 
 
 @functools.cache
@@ -95,6 +111,41 @@ def tip_positions(arm: Arm, q: Array) -> Array:
     # Frames take 100 numbers a posture, and an hour's recording has many.
     parts = (q[first : first + _MANY] for first in range(0, max(len(q), 1), _MANY))
     return np.concatenate([link_frames_of_many(arm, part)[1][-1].T for part in parts])
+
+
+def task_jacobians(axes: Array, origins: Array, task: str) -> Array:
+    """Jacobians (N, m, n) of the m rows of a task, out of frames as `link_frames_of_many` gives them.
+
+    The first three rows are in the base frame, as are the last three of a pose; the last two of the z axis are about
+    the tip's x and y axes.
+    """
+    turns = axes[:-1, 2]
+    linear = np.cross(turns, origins[-1] - origins[:-1], axis=1).transpose(2, 1, 0)
+    if task == POSITION:
+        return linear
+    angular = turns.transpose(2, 1, 0)
+    if task == AXIS:
+        angular = axes[-1, :2].transpose(2, 0, 1) @ angular
+    return np.concatenate([linear, angular], axis=1)
+
+
+def greatest_task(arm: Arm) -> str:
+    """The task with most rows that the joints can hold: in some posture they move the tip in all of its directions.
+
+    Raises `SettingsError` if they cannot even move it in the three directions of a position.
+    """
+    q = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSTURES, arm.n))
+    axes, origins = link_frames_of_many(arm, q)
+    directions = 0
+    for task, rows in TASK_ROWS.items():
+        values = np.linalg.svd(task_jacobians(axes, origins / arm.reach, task), compute_uv=False)
+        directions = int((values > _LEAST_QUALITY).sum(axis=1).max())
+        if directions == rows:
+            return task
+    raise SettingsError(
+        f"the {arm.n} joints of arm '{arm.name}' move its tip in {directions} directions; expected at least the 3 rows "
+        f"of impedance.task = {POSITION}: free joints that are held under fixed, or choose another base or tip"
+    )
 
 
 def tensor_matrix(tensor: tuple[float, ...]) -> Array:

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import Arm, Array
 from contact_reach_ros.arm.mjcf import build_mjcf
 
 _WORLD_ALIGNED = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -10,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from contact_reach_ros.arm.arm import Arm, Capsule, Inertia
-from contact_reach_ros.arm.kinematics import rotation_from_quaternion
+from contact_reach_ros.arm.kinematics import frame_about, rotation_from_quaternion
 from contact_reach_ros.arm.mjcf import numbers
 from contact_reach_ros.arm.mount import scene_frame, tilt
 from contact_reach_ros.arm.urdf_tree import LIMITS, TENSOR
@@ -77,17 +76,15 @@ def add_origin(element: Element, place: pin.SE3) -> None:
 
 def _add_capsule(link: Element, capsule: Capsule) -> None:
     """Add a capsule as a cylinder and two spheres, which URDF supports, for both display and collision checking."""
-    start, end = np.asarray(capsule.start, dtype=float), np.asarray(capsule.end, dtype=float)
-    length = float(np.linalg.norm(end - start))
-    direction = (end - start) / length
-    yaw, pitch = math.atan2(direction[1], direction[0]), math.acos(float(np.clip(direction[2], -1, 1)))
+    start, end = np.array(capsule.start, float), np.array(capsule.end, float)
+    size = {"radius": repr(capsule.radius)}
+    shapes = (
+        (start, "sphere", size),
+        (end, "sphere", size),
+        ((start + end) / 2, "cylinder", {**size, "length": repr(float(np.linalg.norm(end - start)))}),
+    )
     for kind in ("visual", "collision"):
-        for center, shape in ((start, "sphere"), (end, "sphere"), ((start + end) / 2, "cylinder")):
+        for center, shape, sizes in shapes:
             element = SubElement(link, kind)
-            angles = (0.0, pitch, yaw) if shape == "cylinder" else (0.0, 0.0, 0.0)
-            SubElement(element, "origin", xyz=numbers(center), rpy=numbers(angles))
-            geometry = SubElement(element, "geometry")
-            size = {"radius": repr(capsule.radius)}
-            if shape == "cylinder":
-                size["length"] = repr(length)
-            SubElement(geometry, shape, size)
+            add_origin(element, pin.SE3(frame_about(end - start), center))
+            SubElement(SubElement(element, "geometry"), shape, sizes)
