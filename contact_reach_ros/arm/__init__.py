@@ -16,7 +16,6 @@ from contact_reach_ros.arm.kinematics import (
     rotation_from_quaternion,
     tensor_matrix,
     tip_positions,
-    tip_turn,
 )
 
 __all__ = [
@@ -40,5 +39,4 @@ __all__ = [
     "rotation_from_quaternion",
     "tensor_matrix",
     "tip_positions",
-    "tip_turn",
 ]

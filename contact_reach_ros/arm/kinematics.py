@@ -7,7 +7,7 @@ import functools
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contact_reach_ros.arm.arm import PARALLEL, Arm, Array, Vector3
+from contact_reach_ros.arm.arm import Arm, Array, Vector3
 from contact_reach_ros.errors import SettingsError
 
 POSE, AXIS, POSITION = "pose", "position_and_axis", "position"
@@ -51,22 +51,18 @@ def frame_about(axis: Array) -> Array:
 
 @functools.cache
 def _frames_at_zero(arm: Arm) -> tuple[Array, Array]:
-    """Offsets (n, 3) and rotations (n, 3, 3) of the link frames at angle zero, each relative to the one before."""
-    offsets = np.array([joint.offset for joint in arm.joints])
-    return offsets, np.array([rotation_from_quaternion(joint.rotation) for joint in arm.joints])
-
-
-@functools.cache
-def tip_turn(arm: Arm) -> Array | None:
-    """Rotation (3, 3) of the tip frame in the last link's; None if they are parallel."""
-    return None if arm.tip_rotation == PARALLEL else rotation_from_quaternion(arm.tip_rotation)
+    """Offsets (n + 1, 3) and rotations (n + 1, 3, 3) of links at angle zero and tip, relative to the one before."""
+    offsets = np.array([*(joint.offset for joint in arm.joints), arm.tip_offset])
+    rotations = (*(joint.rotation for joint in arm.joints), arm.tip_rotation)
+    return offsets, np.array([rotation_from_quaternion(rotation) for rotation in rotations])
 
 
 def link_frames(arm: Arm, q: ArrayLike) -> tuple[list[Array], list[Array]]:
     """Rotations (3, 3) and origins (3,) of the n link frames, then the tip, in the base frame, at `q` (n,), rad."""
     offsets, at_zero = _frames_at_zero(arm)
-    angles = np.asarray(q, dtype=float)
-    turns = np.zeros((arm.n, 3, 3))
+    # The tip does not turn.
+    angles = np.append(np.asarray(q, dtype=float), 0.0)
+    turns = np.zeros((arm.n + 1, 3, 3))
     turns[:, 0, 0] = turns[:, 1, 1] = np.cos(angles)
     turns[:, 1, 0] = np.sin(angles)
     turns[:, 0, 1] = -turns[:, 1, 0]
@@ -78,9 +74,7 @@ def link_frames(arm: Arm, q: ArrayLike) -> tuple[list[Array], list[Array]]:
         rotation = rotation @ step
         rotations.append(rotation)
         origins.append(origin)
-    turn = tip_turn(arm)
-    tip = rotation if turn is None else rotation @ turn
-    return [*rotations, tip], [*origins, origin + rotation @ arm.tip_offset]
+    return rotations, origins
 
 
 def link_frames_of_many(arm: Arm, q: Array) -> tuple[Array, Array]:
@@ -92,7 +86,7 @@ def link_frames_of_many(arm: Arm, q: Array) -> tuple[Array, Array]:
     cosine, sine = np.cos(q.T), np.sin(q.T)
     axes, origins = np.empty((arm.n + 1, 3, 3, len(q))), np.empty((arm.n + 1, 3, len(q)))
     frame, origin = np.repeat(np.eye(3)[:, :, None], len(q), axis=2), np.zeros((3, len(q)))
-    for joint, (offset, step) in enumerate(zip(offsets, at_zero, strict=True)):
+    for joint, (offset, step) in enumerate(zip(offsets[:-1], at_zero[:-1], strict=True)):
         flat = frame.reshape(3, -1)
         origin = origins[joint] = origin + (offset @ flat).reshape(3, -1)
         x, y, z = (step.T @ flat).reshape(3, 3, -1)
@@ -100,9 +94,8 @@ def link_frames_of_many(arm: Arm, q: Array) -> tuple[Array, Array]:
         frame[0] = cosine[joint] * x + sine[joint] * y
         frame[1] = cosine[joint] * y - sine[joint] * x
         frame[2] = z
-    turn = tip_turn(arm)
-    axes[-1] = frame if turn is None else (turn.T @ frame.reshape(3, -1)).reshape(3, 3, -1)
-    origins[-1] = origin + (np.array(arm.tip_offset) @ frame.reshape(3, -1)).reshape(3, -1)
+    axes[-1] = (at_zero[-1].T @ frame.reshape(3, -1)).reshape(3, 3, -1)
+    origins[-1] = origin + (offsets[-1] @ frame.reshape(3, -1)).reshape(3, -1)
     return axes, origins
 
 
