@@ -33,13 +33,6 @@ def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
     )
 
 
-def rotation_about(axis: ArrayLike, angle: float) -> Array:
-    """Rotation matrix (3, 3) about a unit axis by an angle in rad."""
-    x, y, z = axis = np.asarray(axis, dtype=float)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.cos(angle) * np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * np.outer(axis, axis)
-
-
 def frame_about(axis: Array) -> Array:
     """The smallest rotation (3, 3) that turns z into the direction of `axis` (3,); exact for ±x, ±y and ±z."""
     x, y, z = axis / np.linalg.norm(axis)
