@@ -14,7 +14,7 @@ from typing import Any, ClassVar, TypeVar
 import mujoco
 import numpy as np
 
-from contact_reach_ros.arm import Array, JointState
+from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA
 from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.simulation.obstacles import obstacle_bodies, soften_fixed
@@ -241,7 +241,7 @@ class Faults:
                 raise SettingsError(f"{fault}: expected one of the links {', '.join(plant.arm.link_names)}")
             joint = getattr(fault, "joint", "")
             if joint or isinstance(fault, StuckEncoder):
-                plant.arm.joint_index(joint)
+                _joint_index(plant.arm, joint)
         if sum(isinstance(fault, UnknownObstacle) for fault in faults) > 1:
             raise SettingsError("faults: expected one unknown obstacle at most")
         self._faults = tuple(faults)
@@ -308,7 +308,7 @@ class Faults:
 
     def _joints(self, joint: str) -> slice:
         """The named joint as a slice of an array (n,); all joints for an empty name."""
-        index = self._arm.joint_index(joint) if joint else 0
+        index = _joint_index(self._arm, joint) if joint else 0
         return slice(index, index + 1) if joint else slice(None)
 
     def _spoil(self, fault: MessageFault, message: Message) -> None:
@@ -327,7 +327,7 @@ class Faults:
                 joints, noise = self._joints(fault.joint), self._random.standard_normal(self._arm.n)
                 values["velocity"][joints] += fault.deviation * noise[joints]
             case StuckEncoder():
-                joint = self._arm.joint_index(fault.joint)
+                joint = _joint_index(self._arm, fault.joint)
                 values["position"][joint] = self._frozen.setdefault(fault, float(values["position"][joint]))
                 if not fault.own_velocity:
                     values["velocity"][joint] = 0.0
@@ -424,3 +424,10 @@ class FaultyRobot(SimulatedRobot):
     def shows_obstacles(self) -> bool:
         """As `SimulatedRobot.shows_obstacles`, unless an observation gets lost."""
         return super().shows_obstacles() and (self.faults is None or not self.faults.lose_obstacles(self.now_ns))
+
+
+def _joint_index(arm: Arm, name: str) -> int:
+    """Index of a joint; raises `SettingsError` with the names that there are."""
+    if name not in arm.joint_names:
+        raise SettingsError(f"joint '{name}' is unknown; the arm's joints are {', '.join(arm.joint_names)}")
+    return arm.joint_names.index(name)

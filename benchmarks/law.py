@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm.kinematics import POSE, TASK_ROWS
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arm.task import POSE, TASK_ROWS
 from contact_reach_ros.control import kernels
 from contact_reach_ros.control.constants import make_constants
 from contact_reach_ros.control.references import Reference

@@ -22,8 +22,8 @@ import pinocchio as pin
 from benchmarks.output import command_line, given, percentiles, run_command, say, table, write_report
 from benchmarks.recorded_plans import RecordedPlan, record_plans
 from contact_reach_ros.arm import Array
+from contact_reach_ros.arm.kinematics import AXIS
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arm.task import AXIS
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.constants import body_of, make_constants
 from contact_reach_ros.control.controller import torque_towards

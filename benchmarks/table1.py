@@ -14,7 +14,7 @@ from benchmarks.grid import GOALS, Cell, Setup
 from benchmarks.grid_run import run_grid
 from benchmarks.output import Report, command_line, command_of, given, run_command, write_report
 from benchmarks.table1_report import tables
-from contact_reach_ros.arm.task import TASK_ROWS
+from contact_reach_ros.arm.kinematics import TASK_ROWS
 from contact_reach_ros.arms import DEFAULT_ARM
 from contact_reach_ros.control.settings import AUTO
 from contact_reach_ros.errors import SettingsError

@@ -1,10 +1,11 @@
 """What several tests need: states of the arm, and a simulated one without noise and friction."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.model import RobotModel
@@ -39,6 +40,11 @@ SECOND_NS = 1_000_000_000
 IDEAL = dataclasses.replace(NO_MISMATCH, noise_scale=0.0)
 """An arm that is exactly what the controller's model says, with ideal sensors."""
 NO_FRICTION = (0.0, 0.0)
+
+
+def rotation_about(axis: Sequence[float], angle: float) -> np.ndarray:
+    """Rotation matrix (3, 3) about a unit axis by an angle in rad."""
+    return pin.exp3(angle * np.asarray(axis, dtype=float))
 
 
 def random_states(count: int, seed: int = 0, arm: Arm = ARM) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,6 @@
 """The arm: its kinematics and dynamics, and the MJCF, URDF and Pinocchio model made from its table."""
 
-from contact_reach_ros.arm.arm import Arm, Capsule, Inertia, Joint, Quaternion, Vector3
-from contact_reach_ros.arm.arrays import Array, checked_array
+from contact_reach_ros.arm.arm import Arm, Array, Capsule, Inertia, Joint, checked_array
 from contact_reach_ros.arm.joint_state import (
     BLIND_AFTER,
     REST_SPEED,
@@ -13,11 +12,9 @@ from contact_reach_ros.arm.joint_state import (
 from contact_reach_ros.arm.kinematics import (
     link_frames,
     link_frames_of_many,
-    rotation_about,
     rotation_from_quaternion,
     tensor_matrix,
     tip_positions,
-    tip_turn,
 )
 
 __all__ = [
@@ -29,17 +26,13 @@ __all__ = [
     "Inertia",
     "Joint",
     "JointState",
-    "Quaternion",
-    "Vector3",
     "check_fresh",
     "check_rest",
     "checked_array",
     "checked_torque",
     "link_frames",
     "link_frames_of_many",
-    "rotation_about",
     "rotation_from_quaternion",
     "tensor_matrix",
     "tip_positions",
-    "tip_turn",
 ]

@@ -15,13 +15,15 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.errors import InputError, SettingsError
 
 if TYPE_CHECKING:
     from contact_reach_ros.arm.tool import Tool
 
+Array = NDArray[np.float64]
+"""Double precision; docstrings give shape, unit and frame."""
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
@@ -166,9 +168,9 @@ class Arm:
 
     @cached_property
     def task(self) -> str:
-        """The task with most rows that the joints can hold, of `task.TASK_ROWS`; raises `SettingsError` for none."""
+        """The task with most rows that the joints can hold, of `TASK_ROWS`; raises `SettingsError` for none."""
         # It computes with the kinematics of this module's arms.
-        from contact_reach_ros.arm.task import greatest_task
+        from contact_reach_ros.arm.kinematics import greatest_task
 
         return greatest_task(self)
 
@@ -217,17 +219,6 @@ class Arm:
         sets = {name: tuple(map(shifted, inertias, x, y)) for name, inertias in self.inertia_sets.items()}
         return dataclasses.replace(self, inertia_sets=sets)
 
-    def joint_index(self, name: str) -> int:
-        """Index of a joint, counted from zero.
-
-        Raises `SettingsError` if there is no such joint; the message lists the names that exist.
-        """
-        try:
-            return self.joint_names.index(name)
-        except ValueError:
-            known = ", ".join(self.joint_names)
-            raise SettingsError(f"joint '{name}' is unknown; the arm's joints are {known}") from None
-
     def default(self, setting: str) -> tuple[float, ...]:
         """Default of a setting with one value per joint."""
         return self.defaults.get(setting, (0.0,) * self.n)
@@ -247,6 +238,20 @@ class Arm:
 
     def __hash__(self) -> int:
         return hash(self.digest)
+
+
+def checked_array(name: str, values: object, shape: tuple[int, ...]) -> Array:
+    """Return a read-only copy of `values` with the expected shape.
+
+    Raises `InputError` if the shape differs or a value is not finite; the message starts with `name`.
+    """
+    array = np.array(values, dtype=float)
+    if array.shape != shape:
+        raise InputError(f"{name}: expected shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{name}: expected finite values, got {array.ravel().tolist()}")
+    array.setflags(write=False)
+    return array
 
 
 def _constant(values: list[float]) -> Array:

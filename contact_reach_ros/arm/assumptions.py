@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from contact_reach_ros.arm.arm import Arm, Vector3
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import Arm, Array, Vector3
 from contact_reach_ros.arm.capsules import pair_distances, touching_pairs
-from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many, mass_matrix, tip_positions
+from contact_reach_ros.arm.kinematics import link_frames, link_frames_of_many, task_jacobians, tip_positions
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.mount import standing, stands
-from contact_reach_ros.arm.task import task_jacobians
 
 REACH_SHARE = 0.9
 """Of the greatest distance of the tip from the shoulder, up to which goals are accepted."""
@@ -49,7 +48,9 @@ def defaults(arm: Arm) -> dict[str, tuple[float, ...]]:
 
 def inertias_at_home(arm: Arm) -> Array:
     """How much momentum a speed of each joint, whatever the others' signs, gives it at home: norms of M's rows (n,)."""
-    return np.linalg.norm(mass_matrix(arm, arm.home), axis=1)
+    model = RobotModel(arm)
+    model.update_dynamics(np.array(arm.home))
+    return np.linalg.norm(model.mass_matrix, axis=1)
 
 
 def shoulder(arm: Arm) -> Vector3:

@@ -14,7 +14,8 @@ from scipy.optimize import minimize
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import cdist
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import Array
+from contact_reach_ros.arm.kinematics import frame_about
 
 POOR = 2.5
 """Volume of a capsule, in those of its shapes' convex hull, above which it is a poor fit."""
@@ -151,12 +152,3 @@ def _outer(balls: Array) -> Array:
     except QhullError:
         # They are flat: all of them are outside.
         return balls
-
-
-def frame_about(axis: Array) -> Array:
-    """The smallest rotation (3, 3) that turns z into the direction of `axis` (3,); exact for ±x, ±y and ±z."""
-    x, y, z = axis / np.linalg.norm(axis)
-    if z < -1.0 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    share = 1.0 / (1.0 + z)
-    return np.array([[1.0 - share * x * x, -share * x * y, x], [-share * x * y, 1.0 - share * y * y, y], [-x, -y, z]])

@@ -8,8 +8,7 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.arm.arm import PARALLEL, Arm, Capsule
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import PARALLEL, Arm, Array, Capsule
 from contact_reach_ros.arm.kinematics import link_frames_of_many
 
 _POSTURES = 8192

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import Arm, Array
 from contact_reach_ros.arm.capsules import segment_distances
-from contact_reach_ros.arm.kinematics import link_frames_of_many
-from contact_reach_ros.arm.task import AXIS, POSE, POSITION, task_jacobians
+from contact_reach_ros.arm.kinematics import AXIS, POSE, POSITION, link_frames_of_many, task_jacobians
 
 _STEPS = 60
 _DAMPING = 0.05

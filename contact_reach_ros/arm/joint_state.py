@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import Array
 from contact_reach_ros.errors import InputError
 
 REST_SPEED = 0.05

@@ -1,4 +1,4 @@
-"""Kinematics and inertia straight from an arm's table (numpy, no model library)."""
+"""Kinematics straight from an arm's table (numpy, no model library), and the tasks that its joints can hold."""
 
 from __future__ import annotations
 
@@ -7,9 +7,16 @@ import functools
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contact_reach_ros.arm.arm import PARALLEL, Arm, Vector3
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import Arm, Array, Vector3
+from contact_reach_ros.errors import SettingsError
 
+POSE, AXIS, POSITION = "pose", "position_and_axis", "position"
+TASK_ROWS = {POSE: 6, AXIS: 5, POSITION: 3}
+"""Rows of each task: translation and rotation, translation and the direction of the tip's z axis, or translation."""
+
+_POSTURES = 200
+_LEAST_QUALITY = 0.02
+"""Smallest singular value, with lengths in units of the reach, from which a Jacobian has full rank."""
 _MANY = 10_000
 """Postures at once."""
 
@@ -26,31 +33,29 @@ def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
     )
 
 
-def rotation_about(axis: ArrayLike, angle: float) -> Array:
-    """Rotation matrix (3, 3) about a unit axis by an angle in rad."""
-    x, y, z = axis = np.asarray(axis, dtype=float)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.cos(angle) * np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * np.outer(axis, axis)
+def frame_about(axis: Array) -> Array:
+    """The smallest rotation (3, 3) that turns z into the direction of `axis` (3,); exact for ±x, ±y and ±z."""
+    x, y, z = axis / np.linalg.norm(axis)
+    if z < -1.0 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    share = 1.0 / (1.0 + z)
+    return np.array([[1.0 - share * x * x, -share * x * y, x], [-share * x * y, 1.0 - share * y * y, y], [-x, -y, z]])
 
 
 @functools.cache
 def _frames_at_zero(arm: Arm) -> tuple[Array, Array]:
-    """Offsets (n, 3) and rotations (n, 3, 3) of the link frames at angle zero, each relative to the one before."""
-    offsets = np.array([joint.offset for joint in arm.joints])
-    return offsets, np.array([rotation_from_quaternion(joint.rotation) for joint in arm.joints])
-
-
-@functools.cache
-def tip_turn(arm: Arm) -> Array | None:
-    """Rotation (3, 3) of the tip frame in the last link's; None if they are parallel."""
-    return None if arm.tip_rotation == PARALLEL else rotation_from_quaternion(arm.tip_rotation)
+    """Offsets (n + 1, 3) and rotations (n + 1, 3, 3) of links at angle zero and tip, relative to the one before."""
+    offsets = np.array([*(joint.offset for joint in arm.joints), arm.tip_offset])
+    rotations = (*(joint.rotation for joint in arm.joints), arm.tip_rotation)
+    return offsets, np.array([rotation_from_quaternion(rotation) for rotation in rotations])
 
 
 def link_frames(arm: Arm, q: ArrayLike) -> tuple[list[Array], list[Array]]:
     """Rotations (3, 3) and origins (3,) of the n link frames, then the tip, in the base frame, at `q` (n,), rad."""
     offsets, at_zero = _frames_at_zero(arm)
-    angles = np.asarray(q, dtype=float)
-    turns = np.zeros((arm.n, 3, 3))
+    # The tip does not turn.
+    angles = np.append(np.asarray(q, dtype=float), 0.0)
+    turns = np.zeros((arm.n + 1, 3, 3))
     turns[:, 0, 0] = turns[:, 1, 1] = np.cos(angles)
     turns[:, 1, 0] = np.sin(angles)
     turns[:, 0, 1] = -turns[:, 1, 0]
@@ -62,9 +67,7 @@ def link_frames(arm: Arm, q: ArrayLike) -> tuple[list[Array], list[Array]]:
         rotation = rotation @ step
         rotations.append(rotation)
         origins.append(origin)
-    turn = tip_turn(arm)
-    tip = rotation if turn is None else rotation @ turn
-    return [*rotations, tip], [*origins, origin + rotation @ arm.tip_offset]
+    return rotations, origins
 
 
 def link_frames_of_many(arm: Arm, q: Array) -> tuple[Array, Array]:
@@ -76,7 +79,7 @@ def link_frames_of_many(arm: Arm, q: Array) -> tuple[Array, Array]:
     cosine, sine = np.cos(q.T), np.sin(q.T)
     axes, origins = np.empty((arm.n + 1, 3, 3, len(q))), np.empty((arm.n + 1, 3, len(q)))
     frame, origin = np.repeat(np.eye(3)[:, :, None], len(q), axis=2), np.zeros((3, len(q)))
-    for joint, (offset, step) in enumerate(zip(offsets, at_zero, strict=True)):
+    for joint, (offset, step) in enumerate(zip(offsets[:-1], at_zero[:-1], strict=True)):
         flat = frame.reshape(3, -1)
         origin = origins[joint] = origin + (offset @ flat).reshape(3, -1)
         x, y, z = (step.T @ flat).reshape(3, 3, -1)
@@ -84,9 +87,8 @@ def link_frames_of_many(arm: Arm, q: Array) -> tuple[Array, Array]:
         frame[0] = cosine[joint] * x + sine[joint] * y
         frame[1] = cosine[joint] * y - sine[joint] * x
         frame[2] = z
-    turn = tip_turn(arm)
-    axes[-1] = frame if turn is None else (turn.T @ frame.reshape(3, -1)).reshape(3, 3, -1)
-    origins[-1] = origin + (np.array(arm.tip_offset) @ frame.reshape(3, -1)).reshape(3, -1)
+    axes[-1] = (at_zero[-1].T @ frame.reshape(3, -1)).reshape(3, 3, -1)
+    origins[-1] = origin + (offsets[-1] @ frame.reshape(3, -1)).reshape(3, -1)
     return axes, origins
 
 
@@ -97,17 +99,39 @@ def tip_positions(arm: Arm, q: Array) -> Array:
     return np.concatenate([link_frames_of_many(arm, part)[1][-1].T for part in parts])
 
 
-def mass_matrix(arm: Arm, q: ArrayLike) -> Array:
-    """M(q), (n, n), kg m², armature included, at `q` (n,), rad."""
-    rotations, origins = link_frames(arm, q)
-    turns, mass = np.array(rotations)[:-1, :, 2], np.diag([joint.armature for joint in arm.joints])
-    for link, inertia in enumerate(arm.inertias()):
-        moved, rotation = slice(link + 1), rotations[link]
-        center = origins[link] + rotation @ inertia.center
-        linear = np.cross(turns[moved], center - np.array(origins[moved]))
-        tensor = rotation @ tensor_matrix(inertia.tensor) @ rotation.T
-        mass[moved, moved] += inertia.mass * linear @ linear.T + turns[moved] @ tensor @ turns[moved].T
-    return mass
+def task_jacobians(axes: Array, origins: Array, task: str) -> Array:
+    """Jacobians (N, m, n) of the m rows of a task, out of frames as `link_frames_of_many` gives them.
+
+    The first three rows are in the base frame, as are the last three of a pose; the last two of the z axis are about
+    the tip's x and y axes.
+    """
+    turns = axes[:-1, 2]
+    linear = np.cross(turns, origins[-1] - origins[:-1], axis=1).transpose(2, 1, 0)
+    if task == POSITION:
+        return linear
+    angular = turns.transpose(2, 1, 0)
+    if task == AXIS:
+        angular = axes[-1, :2].transpose(2, 0, 1) @ angular
+    return np.concatenate([linear, angular], axis=1)
+
+
+def greatest_task(arm: Arm) -> str:
+    """The task with most rows that the joints can hold: in some posture they move the tip in all of its directions.
+
+    Raises `SettingsError` if they cannot even move it in the three directions of a position.
+    """
+    q = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSTURES, arm.n))
+    axes, origins = link_frames_of_many(arm, q)
+    directions = 0
+    for task, rows in TASK_ROWS.items():
+        values = np.linalg.svd(task_jacobians(axes, origins / arm.reach, task), compute_uv=False)
+        directions = int((values > _LEAST_QUALITY).sum(axis=1).max())
+        if directions == rows:
+            return task
+    raise SettingsError(
+        f"the {arm.n} joints of arm '{arm.name}' move its tip in {directions} directions; expected at least the 3 rows "
+        f"of impedance.task = {POSITION}: free joints that are held under fixed, or choose another base or tip"
+    )
 
 
 def tensor_matrix(tensor: tuple[float, ...]) -> Array:

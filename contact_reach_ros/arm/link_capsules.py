@@ -14,8 +14,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial import ConvexHull, QhullError
 
-from contact_reach_ros.arm.arm import Capsule
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import Array, Capsule
 from contact_reach_ros.arm.capsule_fit import POOR, Fit, cover, fit_capsule
 from contact_reach_ros.arm.kinematics import vector
 from contact_reach_ros.arm.robot_file import POINTS, find_mesh

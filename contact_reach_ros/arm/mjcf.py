@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from contact_reach_ros.arm.arm import PARALLEL, Arm, Capsule
+from contact_reach_ros.arm.arm import Arm, Capsule
 
 ROBOT_CONTACT_TYPE = 1
 OBSTACLE_CONTACT_TYPE = 2
@@ -90,11 +90,9 @@ def build_mjcf(
         )
         body.extend(_capsule(capsule, geom) for capsule, geom in named if capsule.link == number)
     # Not in the tip's body: Brax, which fuses bodies without joints, would round it.
-    site = SubElement(body, "site", name=TIP_SITE, pos=numbers(arm.tip_offset))
-    flange = SubElement(body, "body", name=arm.tip_frame, pos=numbers(arm.tip_offset))
-    if arm.tip_rotation != PARALLEL:
-        for element in (site, flange):
-            element.set("quat", numbers(arm.tip_rotation))
+    place = {"pos": numbers(arm.tip_offset), "quat": numbers(arm.tip_rotation)}
+    SubElement(body, "site", place, name=TIP_SITE)
+    flange = SubElement(body, "body", place, name=arm.tip_frame)
     if payload > 0.0:
         diagonal = numbers([PAYLOAD_INERTIA * payload] * 3)
         SubElement(flange, "inertial", mass=repr(payload), pos=numbers(PAYLOAD_CENTER), diaginertia=diagonal)

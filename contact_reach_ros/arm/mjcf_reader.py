@@ -10,8 +10,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arm import Inertia
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import Array, Inertia
 from contact_reach_ros.arm.kinematics import tensor_values, vector
 from contact_reach_ros.arm.mjcf import numbers
 from contact_reach_ros.arm.robot_file import POINTS

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from contact_reach_ros.arm.arm import Arm
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import Arm, Array
 from contact_reach_ros.arm.mjcf import build_mjcf
 
 _WORLD_ALIGNED = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -48,12 +47,11 @@ class RobotModel:
     twist: Array
     drift: Array
 
-    def __init__(self, arm: Arm, inertia_set: str = "nominal") -> None:
-        """Build the model; raises `SettingsError` if the inertia set is unknown."""
+    def __init__(self, arm: Arm) -> None:
         self.arm = arm
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "arm.xml"
-            file.write_text(build_mjcf(arm, inertia_set), "utf-8")
+            file.write_text(build_mjcf(arm), "utf-8")
             self.pinocchio: pin.Model = pin.buildModelFromMJCF(str(file))
         # Pinocchio reads no gravity in MJCF.
         self.pinocchio.gravity.linear = np.array(arm.gravity)

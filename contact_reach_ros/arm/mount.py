@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arm import STANDING, Arm, Vector3
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import STANDING, Arm, Array, Vector3
 from contact_reach_ros.arm.kinematics import vector
 
 _DIGITS = 12

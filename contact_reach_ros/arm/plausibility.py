@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import Array
 from contact_reach_ros.arm.assumptions import inertias_at_home
 from contact_reach_ros.arm.capsule_fit import volume
 from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values

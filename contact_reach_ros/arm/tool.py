@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm.arm import Arm, Capsule, Inertia, Quaternion, Vector3
-from contact_reach_ros.arm.kinematics import rotation_from_quaternion, tensor_matrix, tensor_values
+from contact_reach_ros.arm.arm import Arm, Capsule, Inertia
+from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Settings, setting
 
@@ -75,18 +76,6 @@ class Tool(Settings):
                 f"Tool.radius = {self.radius:g} m: expected 0 where flange_to_tip leads nowhere, as there is no capsule"
             )
 
-    @property
-    def position(self) -> Vector3:
-        """Position of the tip in the flange frame, m."""
-        return self.flange_to_tip[:3]
-
-    @property
-    def rotation(self) -> Quaternion:
-        """Rotation (w, x, y, z) of the tip frame in the flange frame."""
-        roll, pitch, yaw = (0.5 * angle for angle in self.flange_to_tip[3:])
-        about_z, about_y = (math.cos(yaw), 0.0, 0.0, math.sin(yaw)), (math.cos(pitch), 0.0, math.sin(pitch), 0.0)
-        return _product(_product(about_z, about_y), (math.cos(roll), math.sin(roll), 0.0, 0.0))
-
 
 NO_TOOL = Tool()
 
@@ -95,11 +84,12 @@ def attach(arm: Arm, tool: Tool) -> Arm:
     """The arm with a tool at its tip, as `Arm.with_tool`."""
     if tool == NO_TOOL:
         return arm
-    turn, flange = rotation_from_quaternion(arm.tip_rotation), np.array(arm.tip_offset)
-    tip = _rounded(flange + turn @ tool.position)
-    is_turned = any(tool.flange_to_tip[3:])
-    tensor = _rounded(tensor_values(turn @ tensor_matrix(tool.inertia) @ turn.T))
-    carried = Inertia(tool.mass, _rounded(flange + turn @ tool.center), tensor)
+    way, angles = tool.flange_to_tip[:3], tool.flange_to_tip[3:]
+    turn = Rotation.from_quat(arm.tip_rotation, scalar_first=True)
+    flange = pin.SE3(turn.as_matrix(), np.array(arm.tip_offset, float))
+    tip = _rounded(flange.act(np.array(way)))
+    turned = _rounded((turn * Rotation.from_euler("xyz", angles)).as_quat(scalar_first=True))
+    carried = flange.act(pin.Inertia(tool.mass, np.array(tool.center), tensor_matrix(tool.inertia)))
     inertia_sets = {
         name: (*inertias[:-1], _together(inertias[-1], carried)) if tool.mass else inertias
         for name, inertias in arm.inertia_sets.items()
@@ -108,37 +98,20 @@ def attach(arm: Arm, tool: Tool) -> Arm:
     return dataclasses.replace(
         arm,
         tip_offset=tip,
-        tip_rotation=_rounded(_product(arm.tip_rotation, tool.rotation)) if is_turned else arm.tip_rotation,
+        tip_rotation=turned if any(angles) else arm.tip_rotation,
         inertia_sets=inertia_sets,
         capsules=(*arm.capsules, *shape),
-        reach=arm.reach + float(np.linalg.norm(tool.position)),
+        reach=arm.reach + float(np.linalg.norm(way)),
         bare=arm.bare or arm,
     )
 
 
-def _together(first: Inertia, second: Inertia) -> Inertia:
-    """Two bodies as one, by the parallel axis theorem."""
-    mass = first.mass + second.mass
-    center = (first.mass * np.array(first.center) + second.mass * np.array(second.center)) / mass
-    tensor = np.zeros((3, 3))
-    for body in (first, second):
-        lever = np.subtract(body.center, center)
-        tensor += tensor_matrix(body.tensor) + body.mass * (lever @ lever * np.eye(3) - np.outer(lever, lever))
-    return Inertia(round(mass, _DIGITS), _rounded(center), _rounded(tensor_values(tensor)))
+def _together(link: Inertia, carried: pin.Inertia) -> Inertia:
+    """A link with a body that is fixed to it, both in the link's frame."""
+    body = carried + pin.Inertia(link.mass, np.array(link.center), tensor_matrix(link.tensor))
+    return Inertia(round(body.mass, _DIGITS), _rounded(body.lever), _rounded(tensor_values(body.inertia)))
 
 
 def _rounded(values: ArrayLike) -> Any:
     """The values as a tuple, rounded, without negative zeros."""
     return tuple((np.round(np.asarray(values, dtype=float), _DIGITS) + 0.0).tolist())
-
-
-def _product(first: Quaternion, second: Quaternion) -> Quaternion:
-    """The rotation `second`, then `first`, about the same fixed axes."""
-    w, x, y, z = first
-    a, b, c, d = second
-    return (
-        w * a - x * b - y * c - z * d,
-        w * b + x * a + y * d - z * c,
-        w * c - x * d + y * a + z * b,
-        w * d + x * c - y * b + z * a,
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -10,19 +9,17 @@ import numpy as np
 import pinocchio as pin
 
 from contact_reach_ros.arm.arm import Arm, Capsule, Inertia
-from contact_reach_ros.arm.kinematics import rotation_from_quaternion
+from contact_reach_ros.arm.kinematics import frame_about, rotation_from_quaternion
 from contact_reach_ros.arm.mjcf import numbers
 from contact_reach_ros.arm.mount import scene_frame, tilt
 from contact_reach_ros.arm.urdf_tree import LIMITS, TENSOR
 
 
-def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
+def build_urdf(arm: Arm) -> str:
     """Build the URDF text of an arm, with the same link frames as the MJCF.
 
     Readers of URDFs let gravity act along -z of the root. That is the base, or for a tilted one a link without a shape
     that the base is fixed to.
-
-    Raises `SettingsError` if the inertia set is unknown.
     """
     robot = Element("robot", name=arm.name)
     parent = arm.base_frame
@@ -34,8 +31,7 @@ def build_urdf(arm: Arm, inertia_set: str = "nominal") -> str:
     base = SubElement(robot, "link", name=parent)
     for capsule in arm.base_capsules:
         _add_capsule(base, capsule)
-    inertias = arm.inertias(inertia_set)
-    for number, (joint, name, inertia) in enumerate(zip(arm.joints, arm.link_names, inertias, strict=True), 1):
+    for number, (joint, name, inertia) in enumerate(zip(arm.joints, arm.link_names, arm.inertias(), strict=True), 1):
         link = SubElement(robot, "link", name=name)
         add_inertial(link, inertia)
         for capsule in arm.capsules:
@@ -80,17 +76,15 @@ def add_origin(element: Element, place: pin.SE3) -> None:
 
 def _add_capsule(link: Element, capsule: Capsule) -> None:
     """Add a capsule as a cylinder and two spheres, which URDF supports, for both display and collision checking."""
-    start, end = np.asarray(capsule.start, dtype=float), np.asarray(capsule.end, dtype=float)
-    length = float(np.linalg.norm(end - start))
-    direction = (end - start) / length
-    yaw, pitch = math.atan2(direction[1], direction[0]), math.acos(float(np.clip(direction[2], -1, 1)))
+    start, end = np.array(capsule.start, float), np.array(capsule.end, float)
+    size = {"radius": repr(capsule.radius)}
+    shapes = (
+        (start, "sphere", size),
+        (end, "sphere", size),
+        ((start + end) / 2, "cylinder", {**size, "length": repr(float(np.linalg.norm(end - start)))}),
+    )
     for kind in ("visual", "collision"):
-        for center, shape in ((start, "sphere"), (end, "sphere"), ((start + end) / 2, "cylinder")):
+        for center, shape, sizes in shapes:
             element = SubElement(link, kind)
-            angles = (0.0, pitch, yaw) if shape == "cylinder" else (0.0, 0.0, 0.0)
-            SubElement(element, "origin", xyz=numbers(center), rpy=numbers(angles))
-            geometry = SubElement(element, "geometry")
-            size = {"radius": repr(capsule.radius)}
-            if shape == "cylinder":
-                size["length"] = repr(length)
-            SubElement(geometry, shape, size)
+            add_origin(element, pin.SE3(frame_about(end - start), center))
+            SubElement(SubElement(element, "geometry"), shape, sizes)

@@ -16,10 +16,9 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import assumptions
-from contact_reach_ros.arm.arm import Arm, Inertia, Joint
-from contact_reach_ros.arm.arrays import Array
-from contact_reach_ros.arm.capsule_fit import Fit, frame_about
-from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values, vector
+from contact_reach_ros.arm.arm import Arm, Array, Inertia, Joint
+from contact_reach_ros.arm.capsule_fit import Fit
+from contact_reach_ros.arm.kinematics import frame_about, tensor_matrix, tensor_values, vector
 from contact_reach_ros.arm.link_capsules import Part, link_capsules
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.mount import gravity_of, in_words

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from contact_reach_ros.arm.arrays import Array
+from contact_reach_ros.arm.arm import Array
 from contact_reach_ros.errors import SettingsError
 
 TURNING = ("revolute", "continuous")

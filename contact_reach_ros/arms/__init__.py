@@ -119,9 +119,10 @@ def arm_in(values: Mapping[str, Any], source: str) -> Arm:
         arm = arm_of_table(values[ROBOT_TABLE], f"{source}: {ROBOT_TABLE}")
     else:
         where = f"{source}: {ROBOT}"
+        name = str(ROBOT_PARAMETER.check(values.get(ROBOT, DEFAULT_ARM), where))
         try:
-            arm = load_arm(str(ROBOT_PARAMETER.check(values.get(ROBOT, DEFAULT_ARM), where)))
+            arm = load_arm(name)
         except SettingsError as error:
-            raise SettingsError(str(error) if str(error).startswith(where) else f"{where}: {error}") from error
+            raise SettingsError(f"{where}: {error}") from error
     tool = {name: values[name] for name in TOOL_PARAMETERS if name in values}
     return arm.with_tool(make_settings(tool, EVERY_SECTION, arm, source)[TOOL])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from contact_reach_ros.arm import Array
+from contact_reach_ros.arm.kinematics import AXIS, POSITION
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arm.task import AXIS, POSITION
 from contact_reach_ros.control.references import Reference, ReferenceQueue, Way
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.timing import NANOSECONDS

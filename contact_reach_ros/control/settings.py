@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
-from contact_reach_ros.arm.task import TASK_ROWS
+from contact_reach_ros.arm.kinematics import TASK_ROWS
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import ArmDefaults, Sections, Settings, setting
 

@@ -11,9 +11,9 @@ from rich.table import Table
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.capsule_fit import POOR
 from contact_reach_ros.arm.capsules import overlapping_pairs, pair_distances, shape_name, shapes
+from contact_reach_ros.arm.kinematics import TASK_ROWS
 from contact_reach_ros.arm.mount import in_words
 from contact_reach_ros.arm.table import table_text
-from contact_reach_ros.arm.task import TASK_ROWS
 from contact_reach_ros.arm.urdf_reader import Reading, read_arm_file
 from contact_reach_ros.arms import ENDINGS, load_arm
 from contact_reach_ros.resources import write_text

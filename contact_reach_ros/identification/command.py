@@ -11,9 +11,7 @@ import numpy as np
 import yaml
 
 from contact_reach_ros.arm import Arm
-from contact_reach_ros.arm.tool import Tool
-from contact_reach_ros.arms import TOOL as TOOL_SECTION
-from contact_reach_ros.arms import TOOL_PARAMETERS, arm_in
+from contact_reach_ros.arms import EVERY_SECTION, TOOL, TOOL_PARAMETERS, arm_in, make_settings
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import arm_of_bag, read_signals
 from contact_reach_ros.errors import InputError, SettingsError
@@ -24,7 +22,7 @@ from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.reexecution.inputs import BUDGET, recorded_sections
 from contact_reach_ros.resources import config_file, write_text
-from contact_reach_ros.settings import DEFAULT_PARAMETERS, Settings, full_name, read_yaml
+from contact_reach_ros.settings import DEFAULT_PARAMETERS, read_yaml
 from contact_reach_ros.timing import NANOSECONDS
 
 OUTPUT = Path("identified.yaml")
@@ -82,8 +80,8 @@ def run_identification(
         raise InputError(f"{source}: has no settings of the observer: record topic 'settings', too")
     arm = arm_in({name: value for name, value in own.items() if name not in TOOL_PARAMETERS}, source)
     sections = recorded_sections(_OBSERVER, own, arm, source)
-    names = {entry.name: full_name(TOOL_SECTION, entry.name) for entry in Tool.declared()}
-    tool = Tool.from_mapping({name: own[full] for name, full in names.items() if full in own}, source)
+    of_tool = {name: value for name, value in own.items() if name in TOOL_PARAMETERS}
+    tool = make_settings(of_tool, EVERY_SECTION, arm, source)[TOOL]
     budget = sections[BUDGET].resolve(arm)
     print(f"fitting {', '.join(f'{len(each.stamps_ns) * each.period:.0f} s' for each in recordings)}", flush=True)
     found = identify(arm, tool, ObserverSettings.from_sections(sections), budget, recordings, links)
@@ -170,14 +168,14 @@ def write(found: Identification, base: Path, file: Path, source: str) -> tuple[P
     for pattern, section in content.items():
         if not isinstance(section, dict) or "ros__parameters" not in section:
             raise SettingsError(f"{base}: '{pattern}' has no ros__parameters; expected a parameter file")
-    momentum = {name: list(getattr(found.momentum, name)) for name in _FOUND}
+    momentum = {name: getattr(found.momentum, name) for name in _FOUND}
     values: dict[str, dict[str, Any]] = {
         "observer": {"momentum": momentum, "contact_budget": str(budget_file)},
     }
     if found.tool is not None:
-        values["/**"] = {"tool": _plain(found.tool)}
+        values["/**"] = {TOOL: dataclasses.asdict(found.tool)}
     _update(content, {node: {"ros__parameters": own} for node, own in values.items()})
-    for path, tree in ((file, content), (budget_file, _plain(found.budget))):
+    for path, tree in ((file, content), (budget_file, dataclasses.asdict(found.budget))):
         text = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=120)
         write_text(path, f"# Written by contact-reach identify, from {source}.\n{text}")
     return file, budget_file
@@ -191,9 +189,3 @@ def _update(tree: dict[str, Any], values: Mapping[str, Any]) -> None:
             _update(tree[key], value)
         else:
             tree[key] = value
-
-
-def _plain(settings: Settings) -> dict[str, Any]:
-    """Settings as YAML has them."""
-    values: Sequence[tuple[str, Any]] = list(dataclasses.asdict(settings).items())
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in values}

@@ -12,8 +12,7 @@ import numpy as np
 from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arm.tool import Tool
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.identification.fit import Fit, fit
-from contact_reach_ros.identification.parameters import Parameters
+from contact_reach_ros.identification.fit import Fit, Parameters, fit
 from contact_reach_ros.identification.recording import Recording, make_samples
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.observer import Observer

@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
-from contact_reach_ros.arm.kinematics import link_frames_of_many
-from contact_reach_ros.arm.task import task_jacobians
+from contact_reach_ros.arm.kinematics import link_frames_of_many, task_jacobians
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.settings import BOUNDS, POSTURE_BOUND, ROTATION_BOUND, PlanningSettings
 from contact_reach_ros.planning.terms import Context, Number, Problem, Rollout, weighted_terms

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from contact_reach_ros.arm import Array
-from contact_reach_ros.arm.task import AXIS, POSE
+from contact_reach_ros.arm.kinematics import AXIS, POSE
 from contact_reach_ros.control.settings import IMPACT_ENERGY, LimitSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.settings import PlanningSettings

@@ -7,8 +7,9 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm import Arm, Array, link_frames, rotation_about
+from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.arm.capsules import moving, shape_radii, shape_segments
 from contact_reach_ros.arm.inverse_kinematics import pose_errors, solve_ik
 from contact_reach_ros.arm.model import RobotModel
@@ -243,7 +244,7 @@ def swivelled_segments(arm: Arm, q: Array, angles: Array) -> tuple[Array, Array]
     shoulder = np.array(arm.shoulder)
     axis = origins[_wrist(arm) - 1] - shoulder
     axis /= np.linalg.norm(axis)
-    turns = np.array([rotation_about(axis, angle) for angle in angles])
+    turns = Rotation.from_rotvec(np.outer(angles, axis)).as_matrix()
 
     def turned(points: Array) -> Array:
         swivelled = shoulder + np.einsum("aij,cj->aci", turns, points - shoulder)

@@ -6,7 +6,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from contact_reach_ros.arm import Arm, Array, tip_turn
+from contact_reach_ros.arm import Arm, Array, rotation_from_quaternion
 from contact_reach_ros.arm.capsules import (
     moving,
     pair_distances,
@@ -206,7 +206,6 @@ def _hand(arm: Arm, goal: Target) -> tuple[Array, Array, Array]:
     radii[0] = max(0.0, (radii - segment_distances((starts, ends), (tip, tip)))[1:].max(initial=0.0))
     if goal.rotation is None or goal.only_axis:
         return goal.position[None], goal.position[None], radii[:1]
-    turn = tip_turn(arm)
     # Of the last link, whose frame the capsules are in.
-    rotation = goal.rotation if turn is None else goal.rotation @ turn.T
+    rotation = goal.rotation @ rotation_from_quaternion(arm.tip_rotation).T
     return goal.position + (starts - tip) @ rotation.T, goal.position + (ends - tip) @ rotation.T, radii

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import Arm, Array, checked_array
 from contact_reach_ros.arm.inverse_kinematics import unreachable
-from contact_reach_ros.arm.task import AXIS, POSITION
+from contact_reach_ros.arm.kinematics import AXIS, POSITION
 from contact_reach_ros.errors import InputError
 
 HOLD, POSE, FREE = ORIENTATIONS = ("hold", "pose", "free")

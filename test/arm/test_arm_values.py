@@ -73,9 +73,3 @@ class TestLoadArm:
         np.testing.assert_allclose(tip_positions(arm, home), tip_positions(SIX_AXIS, home), rtol=0, atol=1e-9)
         with pytest.raises(SettingsError, match=r"none.urdf: cannot be read"):
             load_arm(str(tmp_path / "none.urdf"))
-
-
-def test_joints_are_found_by_name():
-    assert [ARM.joint_index(name) for name in ARM.joint_names] == list(range(ARM.n))
-    with pytest.raises(SettingsError, match=r"'lbr_A8'.*lbr_A1, .*lbr_A7"):
-        ARM.joint_index("lbr_A8")

@@ -1,5 +1,7 @@
 """Pinocchio and MuJoCo read one MJCF, others the URDF, and must see one robot; Brax: see test/planning."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -13,14 +15,13 @@ from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arms import ARMS, load_arm
 
 SHIPPED = [load_arm(name) for name in ARMS]
+ALTERNATIVE = dataclasses.replace(ARM, inertia_sets={"nominal": ARM.inertias("alternative")})
 TOLERANCE = 1e-9
 
 
-@pytest.mark.parametrize(
-    ("arm", "inertia_set"), [*((arm, "nominal") for arm in SHIPPED), (ARM, "alternative"), (WITH_TOOL, "nominal")]
-)
-def test_pinocchio_agrees_with_mujoco(arm, inertia_set):
-    ours, model = RobotModel(arm, inertia_set), mujoco.MjModel.from_xml_string(build_mjcf(arm, inertia_set))
+@pytest.mark.parametrize("arm", [*SHIPPED, ALTERNATIVE, WITH_TOOL])
+def test_pinocchio_agrees_with_mujoco(arm):
+    ours, model = RobotModel(arm), mujoco.MjModel.from_xml_string(build_mjcf(arm))
     data, flange = mujoco.MjData(model), model.site("flange").id
     mass_matrix, jacobian = np.zeros((arm.n, arm.n)), np.zeros((6, arm.n))
     for q, v in zip(*random_states(50, arm=arm), strict=True):
@@ -37,13 +38,13 @@ def test_pinocchio_agrees_with_mujoco(arm, inertia_set):
             np.testing.assert_allclose(mine, other, rtol=0, atol=TOLERANCE)
 
 
-@pytest.mark.parametrize(("arm", "inertia_set"), [(ARM, "nominal"), (ARM, "alternative"), (WITH_TOOL, "nominal")])
-def test_urdf_and_table_agree_with_the_mjcf(arm, inertia_set):
-    model = pin.buildModelFromXML(build_urdf(arm, inertia_set))
+@pytest.mark.parametrize("arm", [ARM, ALTERNATIVE, WITH_TOOL])
+def test_urdf_and_table_agree_with_the_mjcf(arm):
+    model = pin.buildModelFromXML(build_urdf(arm))
     model.armature[:] = arm.joints[0].armature  # URDF cannot say it.
     data = model.createData()
     frames = [model.getFrameId(name) for name in (*arm.link_names, arm.tip_frame)]
-    from_mjcf = RobotModel(arm, inertia_set)
+    from_mjcf = RobotModel(arm)
     for q, v in zip(*random_states(50), strict=True):
         from_mjcf.update(q, v)
         pin.computeAllTerms(model, data, q, v)

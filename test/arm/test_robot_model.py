@@ -9,7 +9,6 @@ import pinocchio as pin
 import pytest
 from arm_simulation import ARM, HOME, REST, random_states
 
-from contact_reach_ros.arm.kinematics import mass_matrix
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 
@@ -67,12 +66,6 @@ def test_looking_elsewhere_leaves_the_attributes_alone(model):
     model.coriolis_matrix(HOME, 0.1 * np.ones(7))
     for name in names:
         np.testing.assert_array_equal(getattr(model, name), before[name], err_msg=name)
-
-
-def test_the_mass_matrix_of_the_table_is_the_models(model):
-    for q, _ in zip(*random_states(20), strict=True):
-        model.update(q, REST)
-        np.testing.assert_allclose(mass_matrix(ARM, q), model.mass_matrix, rtol=0, atol=1e-12)
 
 
 @pytest.fixture

@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS, UNWATCHED, references_of
+from arm_simulation import ARM, HOME, REST, SECOND_NS, TICK_NS, UNWATCHED, references_of, rotation_about
 
-from contact_reach_ros.arm import JointState, rotation_about
+from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.controller import START_RAMP, Controller
 from contact_reach_ros.control.references import Reference

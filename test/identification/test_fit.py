@@ -11,8 +11,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.mount import mounted
 from contact_reach_ros.arm.tool import NO_TOOL, Tool
 from contact_reach_ros.errors import InputError
-from contact_reach_ros.identification.fit import fit
-from contact_reach_ros.identification.parameters import Parameters
+from contact_reach_ros.identification.fit import Parameters, fit
 
 HELD = Tool(mass=0.8, center=(0.02, -0.03, 0.06))
 SHIFTS_X, SHIFTS_Y = (0.0, 0.01, -0.02, 0.0, 0.03, 0.0, 0.01), (0.0, -0.04, 0.01, 0.02, 0.0, -0.01, 0.0)

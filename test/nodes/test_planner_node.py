@@ -5,7 +5,7 @@ import types
 import numpy as np
 import pytest
 import rclpy
-from arm_simulation import ARM, HOME, REST, TICK_NS
+from arm_simulation import ARM, HOME, REST, TICK_NS, rotation_about
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from plans import make_plan
@@ -13,7 +13,6 @@ from rclpy.serialization import deserialize_message, serialize_message
 from stack_helpers import Published, hand_in, ros, wait_for
 from visualization_msgs.msg import Marker, MarkerArray
 
-from contact_reach_ros.arm import rotation_about
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import (

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME
+from arm_simulation import ARM, HOME, rotation_about
 from planning_helpers import (
     FAR_BALL,
     FLANGE,
@@ -22,7 +22,7 @@ from planning_helpers import (
     make_problem,
 )
 
-from contact_reach_ros.arm import link_frames, rotation_about
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.control.settings import IMPACT_ENERGY, LimitSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.lanes.compiled import by_lanes

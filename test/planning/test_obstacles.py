@@ -4,9 +4,8 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME
+from arm_simulation import ARM, HOME, rotation_about
 
-from contact_reach_ros.arm import rotation_about
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.planning.obstacles import ObstacleReader
 from contact_reach_ros.world.collision import clearances

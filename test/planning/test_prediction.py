@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME, REST
+from arm_simulation import ARM, HOME, REST, rotation_about
 from planning_helpers import MS
 from plans import make_plan
 
-from contact_reach_ros.arm import link_frames, rotation_about
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.control.references import Reference, Way
 from contact_reach_ros.planning.plan import Plan
 from contact_reach_ros.planning.prediction import Predictor, hold_at, pieces_between, reference_at

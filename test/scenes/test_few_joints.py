@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from six_axis import SIX_AXIS
 
 from contact_reach_ros.arm import link_frames
+from contact_reach_ros.arm.kinematics import AXIS, POSE, POSITION
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.arm.task import AXIS, POSE, POSITION
 from contact_reach_ros.arms import make_settings
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
 from contact_reach_ros.errors import SettingsError

@@ -60,7 +60,8 @@ def test_commands_are_capped_at_the_data_sheets_limits():
 class TestMismatch:
     def test_model_error_is_as_large_as_the_inertia_sets_differ(self):
         plant = ideal_plant(mismatch=MismatchSettings(payload=0.0))
-        true = RobotModel(ARM, "alternative").gravity_at(HOME)
+        others = dataclasses.replace(ARM, inertia_sets={"nominal": ARM.inertias("alternative")})
+        true = RobotModel(others).gravity_at(HOME)
         np.testing.assert_allclose(plant.data.qfrc_bias, true, rtol=0, atol=1e-9)
         assert np.abs(true - RobotModel(ARM).gravity_at(HOME)).max() > 1.0
 

@@ -5,11 +5,11 @@ import re
 
 import numpy as np
 import pytest
-from arm_simulation import ARM, HOME
+from arm_simulation import ARM, HOME, rotation_about
 from scipy.spatial.transform import Rotation
 from six_axis import SIX_AXIS
 
-from contact_reach_ros.arm import link_frames, rotation_about
+from contact_reach_ros.arm import link_frames
 from contact_reach_ros.arm.capsules import moving, self_pairs, shape_radii, shape_segments, shapes
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.world.collision import GOAL_CLEARANCE, body_distances, check_hand, nearest, nearest_of

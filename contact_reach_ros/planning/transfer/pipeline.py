@@ -27,7 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.arm.task import AXIS, POSE
+from contact_reach_ros.arm.kinematics import AXIS, POSE
 from contact_reach_ros.control.settings import JOINT_SHARE, SINGULARITY_FLOOR, ImpedanceSettings
 from contact_reach_ros.planning.transfer.arithmetic import cross, dot, rotate
 from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, contact_step
