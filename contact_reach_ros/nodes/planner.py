@@ -211,7 +211,8 @@ class PlannerNode(ManagedNode):
                 return self._frames.publish_goal(message)
             pose, kept = message.pose, self.settings[""].goal_orientation
             orientation = quaternion(pose.orientation) if kept == POSE else kept
-            goal = Goal(vector(pose.position), orientation)
+            frame = message.header.frame_id
+            goal = Goal(vector(pose.position), orientation, frame=frame)
             for name, why in self._stops.items():
                 # The arm would move as soon as it is reset.
                 raise InputError(f"goal: {name} has stopped the arm ({why}); first: contact-reach reset")

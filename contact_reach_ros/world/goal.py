@@ -99,7 +99,7 @@ class Task(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """The task of moving the tip to a pose, in the arm's base frame.
+    """The task of moving the tip to a pose.
 
     Raises
     ------
@@ -112,6 +112,8 @@ class Goal:
     orientation: str | ArrayLike = HOLD
     """'hold' for the orientation that the tip has when the goal is given, 'free' for any, or a unit quaternion (x, y,
     z, w)."""
+    frame: str = field(default="", kw_only=True)
+    """Frame of position and orientation; it must be the arm's base frame, the default."""
     tolerance: float = field(default=TOLERANCE, kw_only=True)
     """Distance from the position that counts as reached, m."""
     angle_tolerance: float = field(default=ANGLE_TOLERANCE, kw_only=True)
@@ -140,10 +142,12 @@ class Goal:
         Raises
         ------
         InputError
-            If a value is not finite or not a unit quaternion, or the position is out of reach or inside the base; the
-            message names the field and the expectation.
+            If a value is not finite or not a unit quaternion, the frame is unknown, or the position is out of reach or
+            inside the base; the message names the field and the expectation.
         """
         position = np.array(self.position, dtype=float)
+        if self.frame not in ("", arm.base_frame):
+            raise InputError(f"goal: frame '{self.frame}' is unknown; expected '{arm.base_frame}'")
         if not np.isfinite(position).all():
             raise InputError(f"goal: position = {position.tolist()}; expected finite numbers in m")
         reason = unreachable(arm, position)
