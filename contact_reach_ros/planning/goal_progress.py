@@ -63,11 +63,15 @@ class GoalProgress:
     ----------
     state
         What happened so far.
+    rest
+        (3, 3) orientation that the tip had when it came to a goal at rest; None while it is not there. A goal that
+        leaves the orientation free holds this one: turning on at random, the tip would not come to rest.
     """
 
     def __init__(self, task: Task) -> None:
         """Follow an accepted task, which decides where the tip has to be, and how quietly."""
         self.state = GoalState(GoalPhase.ACCEPTED)
+        self.rest: Array | None = None
         self._task = task
         self._begun_ns: int | None = None
         self._there_ns: int | None = None
@@ -78,6 +82,11 @@ class GoalProgress:
     def update(self, target: Target, position: Array, rotation: Array, speed: float, stamp_ns: int) -> None:
         """Take the tip's pose, in the base frame, and its speed, m/s, at a time, ns."""
         phase, elapsed = self.state.phase, self.state.elapsed
+        is_there = self._task.reached(position, target)
+        if target.moves or not is_there:
+            self.rest = None
+        elif self.rest is None:
+            self.rest = rotation.copy()
         if self._begun_ns is None or stamp_ns < self._begun_ns:
             self._begun_ns = stamp_ns
             self._there_ns = None
@@ -91,7 +100,7 @@ class GoalProgress:
                 phase = GoalPhase.FOLLOWING
             elif self._there_ns is not None and stamp_ns - self._there_ns >= SETTLE_NS:
                 phase = GoalPhase.SETTLED
-            elif self._task.reached(position, target):
+            elif is_there:
                 phase = GoalPhase.REACHED
             elif phase in (GoalPhase.FOLLOWING, GoalPhase.SETTLED):
                 phase = GoalPhase.RUNNING

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import deque
 from collections.abc import Callable
@@ -315,6 +316,9 @@ class Planner:
             return None
         effect_ns = stamp_ns + self._latency_ns
         goal = self._stream.at(effect_ns, stamp_ns)
+        rest = None if self._progress is None else self._progress.rest
+        if goal.rotation is None and rest is not None:
+            goal = dataclasses.replace(goal, rotation=rest).of_task(self._task)
         return Request(q, v, stamp_ns, effect_ns, goal, self.obstacles.spheres, self.speed_scale)
 
     def solve(self, request: Request) -> Plan:
