@@ -47,7 +47,10 @@ LANES = 4
 SIX_HOME, SIX_REST = np.array(SIX_AXIS.home), np.zeros(SIX_AXIS.n)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, marks=[pytest.mark.slow] * (case == "six joints, position")) for case in CASES],
+)
 def test_variables_are_what_has_an_effect_and_the_model_moves_as_the_arm_does(case):
     arm, gains, variables = CASES[case]
     arm = few_joints(arm) if isinstance(arm, str) else arm
