@@ -5,7 +5,9 @@ import json
 
 import numpy as np
 import pytest
+from contact_reach_command import bench
 
+from benchmarks import pictures
 from benchmarks.factors import (
     ALONE,
     COSTS,
@@ -104,3 +106,12 @@ def test_a_run_goes_on_with_what_is_missing(tmp_path, monkeypatch, capsys):
     bench_factors(file, targets=1)
     assert len(asked) == 3 and len([json.loads(line) for line in file.read_text().splitlines()]) == len(lines)
     assert "slalom, 1 targets, 24 episodes" in capsys.readouterr().out
+
+
+def test_the_picture_is_of_a_file_of_episodes(tmp_path):
+    file, picture = tmp_path / "factors.jsonl", tmp_path / "factors.svg"
+    file.write_text("".join(json.dumps(each) + "\n" for target in range(3) for each in crossed(target)))
+    assert bench(pictures, file, picture) == 0
+    text = picture.read_text()
+    assert all(name in text for name in ("wall: cost hinge", "wall: delay 0.47", "wall: detours False"))
+    assert "wall: cost shipped" not in text
