@@ -64,8 +64,9 @@ class GoalProgress:
     state
         What happened so far.
     rest
-        (3, 3) orientation that the tip had when it came to a goal at rest; None while it is not there. A goal that
-        leaves the orientation free holds this one: turning on at random, the tip would not come to rest.
+        (3, 3) orientation with which the tip came within the tolerance of a goal that does not move; None while it is
+        not there. Where the goal leaves the orientation free this one is held: a tip that turns on at random does not
+        come to rest.
     """
 
     def __init__(self, task: Task) -> None:

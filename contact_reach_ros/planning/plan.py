@@ -133,6 +133,13 @@ class Request(NamedTuple):
     """Share of γ that the plan may use, 0 to 1, and so of the speed."""
     detour: Detour | None = None
     """Progress towards the goal and the detour that leads there, see `Detours.target`."""
+    rest: Array | None = None
+    """(3, 3) orientation to hold where the goal leaves it free, see `GoalProgress.rest`."""
+
+    @property
+    def rotation(self) -> Array | None:
+        """(3, 3) orientation to plan for; None for any."""
+        return self.rest if self.goal.rotation is None else self.goal.rotation
 
     @property
     def on_detour(self) -> int:

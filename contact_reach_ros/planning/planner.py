@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections import deque
 from collections.abc import Callable
@@ -10,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from contact_reach_ros.arm import Arm, JointState
+from contact_reach_ros.arm.kinematics import POSITION
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError, PlanningError, UnreachableError
 from contact_reach_ros.observer.budget import ContactBudget
@@ -316,10 +316,8 @@ class Planner:
             return None
         effect_ns = stamp_ns + self._latency_ns
         goal = self._stream.at(effect_ns, stamp_ns)
-        rest = None if self._progress is None else self._progress.rest
-        if goal.rotation is None and rest is not None:
-            goal = dataclasses.replace(goal, rotation=rest).of_task(self._task)
-        return Request(q, v, stamp_ns, effect_ns, goal, self.obstacles.spheres, self.speed_scale)
+        rest = None if self._progress is None or self._task == POSITION else self._progress.rest
+        return Request(q, v, stamp_ns, effect_ns, goal, self.obstacles.spheres, self.speed_scale, rest=rest)
 
     def solve(self, request: Request) -> Plan:
         """Make the plan that was requested.

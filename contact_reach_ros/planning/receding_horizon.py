@@ -300,7 +300,7 @@ class RecedingHorizonPlanner:
         before: Reference | None,
     ) -> Problem:
         goal, detour = request.goal, request.detour
-        rotation = np.eye(3) if goal.rotation is None else goal.rotation
+        rotation = np.eye(3) if request.rotation is None else request.rotation
         problem = Problem(
             q=q,
             v=v,
@@ -321,7 +321,7 @@ class RecedingHorizonPlanner:
     def _weights_for(self, request: Request) -> dict[str, Number]:
         """The weights of the settings, with those that a free orientation, the approach and a detour change."""
         settings, memory = self._settings, self.memory
-        changed = {} if request.goal.rotation is not None else {"orientation": 0.0}
+        changed = {} if request.rotation is not None else {"orientation": 0.0}
         if memory is not None and request.goal.is_near(memory.request.goal):
             changed |= memory.approach.weights(settings)
         if request.detour is not None:
