@@ -370,7 +370,7 @@ def check_values(values: Mapping[str, Any], known: Mapping[str, Setting], source
         if name in known:
             checked[name] = known[name].check(value, f"{source}: {name}")
         elif owner := _owner(name, known):
-            hint = f"set it for the {owner}, where others read it, too"
+            hint = f"set it for the {owner}: the other nodes read it there"
             raise SettingsError(f"{source}: unknown key '{name}'; {hint}")
         elif name not in _OF_ROS and not name.startswith("qos_overrides."):
             raise SettingsError(unknown_key(name, known, source))

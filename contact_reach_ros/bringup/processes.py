@@ -98,6 +98,8 @@ def processes(options: BringupOptions, namespace: str = "/") -> list[Process]:
     tool = scene_tool(options, scene, namespace)
     time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep, **rate, **arm, **tool}
     changed = _overrides(options.overrides, stack_arm(options, namespace))
+    # What reads settings of the observer: the controller watches itself with them, and the contact budget is in them.
+    watch = {f"{OBSERVER}:{name}": value for name, value in changed[OBSERVER].items()}
     table = []
     adapted = options.adapter != "none"
     if adapted:
@@ -105,7 +107,7 @@ def processes(options: BringupOptions, namespace: str = "/") -> list[Process]:
         adapting = {**time, "kind": options.adapter, "effort.ask_joints": not options.driver}
         table.append(Process(ADAPTER, adapting, early=True, lasts=True))
     if options.view:
-        table.append(Process(VIEWER, time, early=True, essential=False))
+        table.append(Process(VIEWER, {**time, **watch}, early=True, essential=False))
     if options.bag:
         recording = {"bag": options.bag, **_origin(options, changed["driver"], namespace), **time}
         table.append(Process(RECORDER, recording, early=True))
@@ -114,8 +116,6 @@ def processes(options: BringupOptions, namespace: str = "/") -> list[Process]:
     elif changed["driver"]:
         raise SettingsError(f"overrides of the driver, {', '.join(changed['driver'])}: this node is not started here")
     table.append(Process(OBSERVER, {**time, **changed[OBSERVER]}))
-    # The controller watches itself with the observer's, and the planner has its contact budget.
-    watch = {f"{OBSERVER}:{name}": value for name, value in changed[OBSERVER].items()}
     behind = {"supervision.adapter": True} if adapted else {}
     table.append(Process("controller", {**time, **watch, **behind, **changed["controller"]}))
     # The planner plans for the controller's gains.

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.arm import Array
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
@@ -65,8 +65,13 @@ class ViewerNode(ManagedNode):
         else:
             player, arm = None, self.arm
             self._listen()
-        observer = settings_of(self.ARGUMENTS, OBSERVER, OBSERVER_SECTIONS, self.arm)[""]
-        budget = load_budget(observer.contact_budget).resolve(arm)
+        try:
+            observer = settings_of(self.ARGUMENTS, OBSERVER, OBSERVER_SECTIONS, self.arm)[""]
+            budget = load_budget(observer.contact_budget).resolve(arm)
+        except SettingsError as error:
+            # Nothing is stopped by what the page shows.
+            self.get_logger().warning(f"{error}; the page shows forces against the package's own contact budget")
+            budget = load_budget().resolve(arm)
         self._server = serve(settings.port, TITLE)
         self._page = call(self._server, lambda: Page(self._server, arm, budget, self.live, self, player))
         port = self._server.get_port()

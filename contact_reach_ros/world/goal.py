@@ -110,8 +110,8 @@ class Goal:
     position: ArrayLike
     """(3,), m."""
     orientation: str | ArrayLike = HOLD
-    """'hold' for the orientation that the tip has when the goal is given, 'free' for any, or a unit quaternion (x, y,
-    z, w)."""
+    """'hold' for the orientation that the tip has when the goal is given, 'free' for any, which is held once the tip
+    is there, or a unit quaternion (x, y, z, w)."""
     frame: str = field(default="", kw_only=True)
     """Frame of position and orientation; it must be the arm's base frame, the default."""
     tolerance: float = field(default=TOLERANCE, kw_only=True)

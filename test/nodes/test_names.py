@@ -140,3 +140,10 @@ def test_bring_up_refuses_sections_of_another_namespace(tmp_path, capsys):
     file.write_text("/left/planner: {ros__parameters: {period: 0.1}}\n")
     assert bringup.run_bringup(["bringup", "--ros-args", "-r", "__ns:=/right", "-p", f"parameters:={file}"]) == 2
     assert "the planner is in namespace /right" in capsys.readouterr().err
+
+
+def test_a_page_needs_no_contact_budget_that_can_be_read(start):
+    """It stops nothing, and shows bags of robots whose files are elsewhere."""
+    sections = {"viewer": {"port": 0}, "observer": {"contact_budget": "nowhere.yaml"}}
+    assert start(ViewerNode, sections, see=lambda node: node.get_name()) == "viewer"
+    assert "nowhere.yaml" in start(PlannerNode, sections)

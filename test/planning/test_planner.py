@@ -230,7 +230,7 @@ class TestGoals:
         planner = begin(make(), Goal(TIP, FREE))
         for tick in range(10, 80, 10):
             request = planner.request(state(tick))
-            planner.command(Goal(TIP + 0.0001 * tick, FREE), tick * TICK_NS)
+            planner.command(Goal(TIP + 0.00005 * tick, FREE), tick * TICK_NS)
         assert request.goal.moves and request.rotation is None
 
     @pytest.mark.parametrize(
