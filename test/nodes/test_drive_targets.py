@@ -13,7 +13,7 @@ from test_adapter import Bench
 
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.constants import torque_rates
-from contact_reach_ros.drives import effort, franka, lbr
+from contact_reach_ros.drives import command_guard, effort, franka, lbr
 from contact_reach_ros.drives.command_guard import Phase
 from contact_reach_ros.drives.settings import (
     FRANKA_TORQUE_RATE,
@@ -245,8 +245,10 @@ def test_an_adapter_for_an_arm_that_carries_itself_does_not_carry_it(kind):
 
 
 @pytest.fixture
-def bench():
-    """An adapter for KUKA's driver, whose loop runs when told to."""
+def bench(monkeypatch):
+    """An adapter for KUKA's driver, whose loop runs when told to, on a machine that may be busy meanwhile."""
+    monkeypatch.setattr(command_guard, "HOLD_AFTER", 0.5)
+    monkeypatch.setattr(command_guard, "STOP_AFTER", 1.0)
     with ros("kind:=lbr", "gravity_compensation:=false", "state_rate:=500.0"):
         yield Bench()
 

@@ -250,6 +250,7 @@ def test_without_free_dimensions_an_arm_goes_for_its_goal_after_each_detour_and_
     ]
 
 
+@pytest.mark.slow
 def test_without_free_dimensions_no_detour_passes_a_singularity():
     seeds = np.random.default_rng(0).uniform(UR10.lower, UR10.upper, (64, 6))
     found = solve_ik(UR10, ELSEWHERE.position, ELSEWHERE.rotation, seeds, 0.2)
@@ -258,5 +259,6 @@ def test_without_free_dimensions_no_detour_passes_a_singularity():
     assert {side(posture) for posture in tried} == {side(START)}
 
 
+@pytest.mark.slow
 def test_among_soft_obstacles_which_may_go_away_no_goal_is_given_up():
     assert len(stuck(ball_at(np.array([0.0, 0.0, -5.0])))) == REQUESTS

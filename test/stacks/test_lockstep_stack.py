@@ -63,6 +63,7 @@ def test_nobody_keeps_others_from_running(stack):
         assert {os.sched_getscheduler(thread) for thread in threads} == {os.SCHED_OTHER}, name
 
 
+@pytest.mark.slow
 def test_the_doctor_passes_it(stack, tmp_path):
     result, found = examine(stack.env, tmp_path)
     expected = ["nodes", "safety state", "without commands", "discovery", "parameters", "joint names and order"]
