@@ -27,7 +27,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.topics import Qos, Topic
 from contact_reach_ros.resources import versions
-from contact_reach_ros.ros.inbox import WITHOUT_EVENTS, LoopGroup, qos_profile
+from contact_reach_ros.ros.inbox import LoopGroup, qos_profile
 from contact_reach_ros.ros.lockstep import FOREVER_NS, promise
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
@@ -313,13 +313,7 @@ class TopicRecorder:
             self.drain()
             self._node.destroy_subscription(before.subscription)
         subscription = self._node.create_subscription(
-            topic.type,
-            name,
-            lambda _: None,
-            qos_profile(qos),
-            callback_group=self._group,
-            event_callbacks=WITHOUT_EVENTS,
-            raw=True,
+            topic.type, name, lambda _: None, qos_profile(qos), callback_group=self._group, raw=True
         )
         loss = LossCounter() if before is None else before.loss
         self._recorded[name] = _Recorded(self._name_in_bag(topic), topic.type, qos, subscription, loss)
