@@ -8,9 +8,11 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from contact_reach_ros.arm import Array
+from contact_reach_ros.messages.cdr import HEADER
 from contact_reach_ros.messages.conversions import to_marker, to_point, to_time
 from contact_reach_ros.messages.obstacle_reader import BLOCK, EDGES, FIXED, OBSTACLES, PLANE, REST, STIFFNESS
-from contact_reach_ros.messages.serialized import STAMP_NS, MessageWriter, marks
+from contact_reach_ros.messages.serialized import encode
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.obstacle import Obstacle
 from contact_reach_ros.world.rigid import Plane, RigidBody, slab
 from contact_reach_ros.world.scene import Scene
@@ -19,6 +21,9 @@ from contact_reach_ros.world.spheres import rest_positions
 _GREEN = (0.35, 0.7, 0.35)
 _GREY = (0.45, 0.45, 0.45)
 _EDGE_WIDTH = 0.004
+_FIRST_MARK = 1e6
+_STAMP = (0x51EC51EC, 0x1A2B3C4D)
+_STAMP_NS = _STAMP[0] * NANOSECONDS + _STAMP[1]
 
 
 def obstacle_markers(scene: Scene, positions: Array, stamp_ns: int) -> MarkerArray:
@@ -33,10 +38,31 @@ def obstacle_markers(scene: Scene, positions: Array, stamp_ns: int) -> MarkerArr
     return MarkerArray(markers=markers)
 
 
-def obstacle_writer(scene: Scene) -> MessageWriter:
-    """Writes serialised obstacle messages of positions (K, 3), m, fast enough for a 1 kHz loop."""
-    places = marks(3 * len(rest_positions(scene)))
-    return MessageWriter(obstacle_markers(scene, places.reshape(-1, 3), STAMP_NS), len(places))
+class ObstacleMarkerWriter:
+    """Serialised obstacle messages, fast enough for a 1 kHz loop.
+
+    Of the hundreds of points in a message only the coordinates change, and the stamps: the message is serialised once,
+    and each time they are written to where they lie in it.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        marks = _FIRST_MARK + np.arange(3 * len(rest_positions(scene)), dtype=float)
+        self._buffer = bytearray(encode(obstacle_markers(scene, marks.reshape(-1, 3), _STAMP_NS)))
+        # CDR aligns numbers to their size, counted from the end of its header.
+        size = len(self._buffer) - HEADER
+        self._numbers = np.frombuffer(self._buffer, "<f8", size // 8, HEADER)
+        self._words = np.frombuffer(self._buffer, "<u4", size // 4, HEADER)
+        self._slots = np.flatnonzero(np.isin(self._numbers, marks))
+        self._sources = (self._numbers[self._slots] - _FIRST_MARK).astype(int)
+        is_stamp = [self._words[place : size // 4 - 1 + place] == part for place, part in enumerate(_STAMP)]
+        self._stamps = np.flatnonzero(np.logical_and(*is_stamp))
+
+    def write(self, positions: Array, stamp_ns: int) -> bytes:
+        """A serialised MarkerArray with the obstacles at `positions` (K, 3), m."""
+        self._numbers[self._slots] = positions.ravel()[self._sources]
+        self._words[self._stamps] = stamp_ns // NANOSECONDS
+        self._words[self._stamps + 1] = stamp_ns % NANOSECONDS
+        return bytes(self._buffer)
 
 
 def _markers_of(obstacle: Obstacle, number: int, places: Array) -> list[Marker]:

@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState as JointStateMessage
-from std_msgs.msg import Float64MultiArray, Header
+from std_msgs.msg import Float64MultiArray
 
 from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.errors import InputError
@@ -34,10 +33,8 @@ from contact_reach_ros.messages.cdr import (
 from contact_reach_ros.messages.values import checked_stamp, places_of
 from contact_reach_ros.timing import NANOSECONDS
 
-_FIRST_MARK = 1e6
-_STAMP = (0x51EC51EC, 0x1A2B3C4D)
-STAMP_NS = _STAMP[0] * NANOSECONDS + _STAMP[1]
-"""Stands for the stamps that a `MessageWriter` writes."""
+SLOT = 0.1
+"""Stands for a number that a `MessageWriter` writes; the other bytes of a message never look like it."""
 
 _DOUBLE = np.dtype("<f8")
 _SIZE_AND_STRIDE = struct.Struct("<2I")
@@ -121,56 +118,50 @@ class JointStateReader:
         self._fixed = [data[part] for part in self._parts]
 
 
-def marks(count: int) -> Array:
-    """Numbers (count,) that stand for those that a `MessageWriter` writes; nothing else in a message is like them."""
-    return _FIRST_MARK + np.arange(count, dtype=float)
-
-
 class MessageWriter:
-    """Writes serialised messages that differ in their numbers and stamps only: it is serialised once, with marks.
+    """Writes serialised messages that differ in their numbers, and in the stamp of their header, only.
 
-    Each time, numbers and stamps are written to where the marks lie.
+    Parameters
+    ----------
+    message
+        With `SLOT` in place of each number that is written.
+    counts
+        Numbers of each array that is written: the bytes behind a message are any, also those of a `SLOT`.
     """
 
-    def __init__(self, message: Any, count: int) -> None:
-        """`message`: with the `marks` of as many numbers as are written, in any order and repeated, and `STAMP_NS`."""
+    def __init__(self, message: Any, counts: Sequence[int]) -> None:
         self._buffer = bytearray(encode(message))
-        # CDR aligns numbers to their size, counted from the end of its header.
-        size = len(self._buffer) - HEADER
-        self._numbers = np.frombuffer(self._buffer, _DOUBLE, size // 8, HEADER)
-        self._words = np.frombuffer(self._buffer, "<u4", size // 4, HEADER)
-        self._slots = np.flatnonzero(np.isin(self._numbers, marks(count)))
-        self._sources = (self._numbers[self._slots] - _FIRST_MARK).astype(int)
-        is_stamp = [self._words[place : size // 4 - 1 + place] == part for place, part in enumerate(_STAMP)]
-        self._stamps = np.flatnonzero(np.logical_and(*is_stamp))
+        numbers = np.frombuffer(self._buffer, _DOUBLE, (len(self._buffer) - HEADER) // _DOUBLE.itemsize, HEADER)
+        slots = np.flatnonzero(numbers == SLOT)
+        runs = np.split(slots, np.flatnonzero(np.diff(slots) > 1) + 1)
+        self._values = [numbers[run[0] : run[0] + count] for run, count in zip(runs, counts, strict=False)]
 
-    def write(self, *values: Array | Sequence[float], stamp_ns: int = 0) -> bytes:
-        """The message with these numbers, one array after the other, and this stamp, ns, if it has one."""
-        self._numbers[self._slots] = np.concatenate(values).ravel()[self._sources]
-        self._words[self._stamps], self._words[self._stamps + 1] = divmod(stamp_ns, NANOSECONDS)
+    def write(self, *values: Array | Sequence[float], stamp_ns: int | None = None) -> bytes:
+        """The message with these values, an array for each field in their order, and this stamp, ns, if it has one."""
+        if stamp_ns is not None:
+            STAMP.pack_into(self._buffer, HEADER, *divmod(stamp_ns, NANOSECONDS))
+        for place, value in zip(self._values, values, strict=True):
+            place[:] = value
         return bytes(self._buffer)
 
 
 def joint_state_writer(names: Sequence[str], frame_id: str, fields: Sequence[str]) -> MessageWriter:
-    """Writes JointState messages, of which `fields` are filled, one after the other: position, velocity or effort."""
-    count = len(names) * len(fields)
-    parts = np.split(marks(count), len(fields))
-    message = JointStateMessage(name=list(names), **dict(zip(fields, map(list, parts), strict=True)))
-    message.header = Header(stamp=Time(sec=_STAMP[0], nanosec=_STAMP[1]), frame_id=frame_id)
-    return MessageWriter(message, count)
+    """Writes JointState messages, of which `fields` are filled: position, velocity or effort."""
+    message = JointStateMessage(name=list(names), **{field: [SLOT] * len(names) for field in fields})
+    message.header.frame_id = frame_id
+    return MessageWriter(message, [len(names)] * len(fields))
 
 
 def wrench_writer(frame_id: str) -> MessageWriter:
     """Writes WrenchStamped messages, from force and moment, (6,), N and Nm."""
-    x, y, z, *torque = marks(6).tolist()
-    wrench = Wrench(force=Vector3(x=x, y=y, z=z), torque=Vector3(**dict(zip("xyz", torque, strict=True))))
-    header = Header(stamp=Time(sec=_STAMP[0], nanosec=_STAMP[1]), frame_id=frame_id)
-    return MessageWriter(WrenchStamped(header=header, wrench=wrench), 6)
+    message = WrenchStamped(wrench=Wrench(**{part: Vector3(x=SLOT, y=SLOT, z=SLOT) for part in ("force", "torque")}))
+    message.header.frame_id = frame_id
+    return MessageWriter(message, [6])
 
 
 def command_writer(count: int) -> MessageWriter:
     """Writes Float64MultiArray messages of `count` values without a layout."""
-    return MessageWriter(Float64MultiArray(data=marks(count).tolist()), count)
+    return MessageWriter(Float64MultiArray(data=[SLOT] * count), [count])
 
 
 def read_command(data: bytes) -> Array:

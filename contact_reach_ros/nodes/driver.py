@@ -18,7 +18,7 @@ from contact_reach_ros.arm import Array, JointState
 from contact_reach_ros.errors import InputError, StopCode, StopReason, requested
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_stop_state, to_time
-from contact_reach_ros.messages.obstacle_markers import obstacle_writer
+from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter
 from contact_reach_ros.messages.serialized import joint_state_writer, read_command
 from contact_reach_ros.ros.lockstep import LockstepDriver
 from contact_reach_ros.ros.managed_node import ManagedNode
@@ -84,7 +84,7 @@ class DriverNode(ManagedNode):
         names, base = self.arm.joint_names, self.arm.base_frame
         self._state_writer = joint_state_writer(names, base, ["position", "velocity", "effort"])
         self._contact_writer = joint_state_writer([*self.arm.contact_links, "sum", "max"], base, ["effort"])
-        self._obstacle_writer = obstacle_writer(self._scene)
+        self._obstacle_writer = ObstacleMarkerWriter(self._scene)
 
     def configure(self) -> None:
         """Log the scene."""
@@ -173,7 +173,7 @@ class DriverNode(ManagedNode):
             self._write_contacts(self._contact_writer.write([*forces, sum(forces), max(forces)], stamp_ns=now_ns))
             self._peak_contact[:] = 0.0
         if shows_obstacles:
-            self._obstacles.publish(self._obstacle_writer.write(robot.plant.obstacle_positions(), stamp_ns=now_ns))
+            self._obstacles.publish(self._obstacle_writer.write(robot.plant.obstacle_positions(), now_ns))
         if self.lockstep:
             # Last: nodes that handle it have everything else.
             self._publish_states(states)

@@ -316,7 +316,8 @@ class Planner:
             return None
         effect_ns = stamp_ns + self._latency_ns
         goal = self._stream.at(effect_ns, stamp_ns)
-        rest = None if self._progress is None or self._task == POSITION else self._progress.rest
+        is_free = goal.rotation is None and self._task != POSITION
+        rest = self._progress.rest if is_free and self._progress is not None else None
         return Request(q, v, stamp_ns, effect_ns, goal, self.obstacles.spheres, self.speed_scale, rest=rest)
 
     def solve(self, request: Request) -> Plan:

@@ -14,7 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.conversions import to_marker, to_point
-from contact_reach_ros.messages.obstacle_markers import obstacle_markers, obstacle_writer
+from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter, obstacle_markers
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.planning.settings import PlannerNodeSettings
 from contact_reach_ros.world.obstacle import BallSettings, WallSettings
@@ -62,9 +62,9 @@ def as_set(spheres) -> set:
 
 
 def test_the_planner_reads_what_the_driver_writes():
-    writer, reader = obstacle_writer(scene()), new_reader()
+    writer, reader = ObstacleMarkerWriter(scene()), new_reader()
     for positions, stamp_ns in ((displaced(), STAMP_NS), (rest_positions(scene()), STAMP_NS + 1)):
-        spheres = reader.read(writer.write(positions, stamp_ns=stamp_ns))
+        spheres = reader.read(writer.write(positions, stamp_ns))
         assert as_set(spheres) == as_set(obstacle_spheres(scene(), positions))
         assert reader.stamp_ns == stamp_ns
 
@@ -214,7 +214,7 @@ def test_bytes_that_are_no_message_are_refused():
 
 def test_rigid_bodies_survive_the_way_into_markers_and_back():
     bodies = (Plane("floor", (0.0, 0.0, -0.1)), Plane("wall", (1.0, 0.2, 0.0), (-1.0, 0.3, 0.1)), TABLE)
-    data = obstacle_writer(dataclasses.replace(scene(), environment=bodies)).write(displaced(), stamp_ns=STAMP_NS)
+    data = ObstacleMarkerWriter(dataclasses.replace(scene(), environment=bodies)).write(displaced(), STAMP_NS)
     points = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3))
     found = new_reader().read(data).environment
     assert [(type(body), body.name) for body in found] == [(type(body), body.name) for body in bodies]

@@ -99,11 +99,11 @@ def test_written_joint_states_are_decoded_by_rclpy(fields, names):
 def test_what_is_behind_a_message_does_not_matter(monkeypatch):
     """The middleware leaves what the memory held before, such as the end of another message."""
     encode = serialized.encode
-    left = serialized.marks(1).tobytes()
+    left = np.full(1, serialized.SLOT).tobytes()
     monkeypatch.setattr(serialized, "encode", lambda message: encode(message)[:-8] + left)
     names = ["wx200/shoulder_link", "wx200/upper_arm_link", "max"]
-    plain = encode(JointState(name=names, effort=serialized.marks(3).tolist()))
-    assert serialized.encode(JointState(name=names, effort=serialized.marks(3).tolist())) != plain
+    plain = encode(JointState(name=names, effort=[serialized.SLOT] * 3))
+    assert serialized.encode(JointState(name=names, effort=[serialized.SLOT] * 3)) != plain
     written = joint_state_writer(names, "", ["effort"]).write([1.0, 2.0, 3.0], stamp_ns=0)
     assert deserialize_message(written, JointState).effort.tolist() == [1.0, 2.0, 3.0]
 

@@ -11,7 +11,7 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bringup.processes import processes
 from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.errors import SceneError, SettingsError
-from contact_reach_ros.messages.obstacle_markers import obstacle_writer
+from contact_reach_ros.messages.obstacle_markers import ObstacleMarkerWriter
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.planning.obstacles import Network
 from contact_reach_ros.scenes.generate import make_scene
@@ -72,7 +72,7 @@ def test_no_joint_bends_beyond_its_limit_and_the_stem_returns():
 
 
 def test_markers_have_the_stiffness_of_each_edge_and_bringup_passes_no_other():
-    data = obstacle_writer(SCENE).write(rest_positions(SCENE), stamp_ns=1_000_000_000)
+    data = ObstacleMarkerWriter(SCENE).write(rest_positions(SCENE), 1_000_000_000)
     read, own = ObstacleMarkerReader(SCENE.arm.base_frame).read(data), obstacle_spheres(SCENE, rest_positions(SCENE))
     # Of each body the reader has the spheres that can move first.
     order = np.r_[1 : len(own), 0]
