@@ -76,7 +76,12 @@ def read(folder: Path, text: str, **options) -> Arm:
     return read_arm(folder / "arm.urdf", ArmOptions(tip="tool", **options)).arm
 
 
-@pytest.fixture(scope="module", params=MOUNTS)
+def quick(names, chosen):
+    """Parameters, of which those that are not chosen take too long for every run."""
+    return [name if name in chosen else pytest.param(name, marks=pytest.mark.slow) for name in names]
+
+
+@pytest.fixture(scope="module", params=quick(MOUNTS, ("ceiling", "slope")))
 def mount(request, tmp_path_factory) -> tuple[Arm, str]:
     """An arm on its mount, and the URDF of both."""
     text = urdf(on_root(MOUNTS[request.param]))
@@ -222,7 +227,11 @@ def test_shipped_arms_stand_in_their_base_frame(name):
 
 
 @pytest.fixture(
-    scope="module", params=[*MOUNTS, "table", "torso with the root as base", "beside the root", "below the root"]
+    scope="module",
+    params=quick(
+        [*MOUNTS, "table", "torso with the root as base", "beside the root", "below the root"],
+        ("wall", "below the root"),
+    ),
 )
 def stood(request, tmp_path_factory) -> Arm:
     """An arm that stands or hangs somewhere, with its base or the root as its base frame."""
@@ -286,9 +295,7 @@ class TestWhereScenesStand:
         np.testing.assert_allclose(load_scene("ball", stood, 1, target).target, target, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "name", [name if name == "ceiling" else pytest.param(name, marks=pytest.mark.slow) for name in MOUNTS]
-)
+@pytest.mark.parametrize("name", quick(MOUNTS, ("ceiling",)))
 def test_walls_stand_one_above_the_other(name):
     arm = dataclasses.replace(load_arm("ur10"), gravity=mounted(MOUNTS[name]))
     scene = load_scene("wall", arm, 0)

@@ -59,7 +59,9 @@ def draw(name: str) -> tuple[Arm, Blindness, list[int]]:
     return arm, found, [int(index) for index in shown[np.unique(found.contacts.link[shown], return_index=True)[1]]]
 
 
-@pytest.mark.parametrize("name", ["iiwa14", "panda", "ur10"])
+@pytest.mark.parametrize(
+    "name", ["iiwa14", pytest.param("panda", marks=pytest.mark.slow), pytest.param("ur10", marks=pytest.mark.slow)]
+)
 def test_a_force_is_noticed_and_stops_the_arm_from_where_the_map_says(name):
     arm, found, shown = draw(name)
     assert len(shown) >= 5

@@ -1,6 +1,7 @@
 """The collision-free baseline in episodes: contact-free, within the method's bounds, planned once."""
 
 import numpy as np
+import pytest
 from arm_simulation import ARM
 from scipy.spatial.transform import Rotation
 
@@ -21,6 +22,7 @@ AHEAD = 0.5 * GAINS.reference_ramp
 """References are from where the arm will be then, s."""
 
 
+@pytest.mark.slow
 def test_goal_behind_a_ball_is_reached_without_any_contact_within_the_methods_bounds():
     def search(arm, q, goal, spheres, seed):
         return find_path(arm, q, goal, spheres, QUICK, seed)

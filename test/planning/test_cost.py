@@ -25,6 +25,7 @@ from planning_helpers import (
 from contact_reach_ros.arm import link_frames
 from contact_reach_ros.control.settings import IMPACT_ENERGY, LimitSettings
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.planning.cost import Objective
 from contact_reach_ros.planning.lanes.compiled import by_lanes
 from contact_reach_ros.planning.settings import AUTO, PlanningSettings
 from contact_reach_ros.planning.solver.hybrid import slopes
@@ -168,18 +169,19 @@ def test_points_faster_than_the_controllers_caps_cost(roll_out, joint, speed):
     assert terms["body_speed"][0] == pytest.approx(TERMS["body_speed"].weight * excess, rel=1e-2, abs=1e-4)
 
 
-def test_a_change_of_lead_costs_its_square(roll_out):
+def test_a_change_of_lead_costs_its_square(roll_out, objective):
     problem = make_problem(HOME, FLANGE, ball(FAR_BALL), lead_change=100.0)
     actions = np.zeros((3, 13, LANES))
     actions[:, 0, 1] = 0.01
     actions[1:, 0, 2] = 0.01
     rollout, _ = roll_out(problem, actions)
     held = jax.tree.map(lambda array: array[0, ..., :1], rollout.reference)
-    _, terms = roll_out(problem._replace(before=held), actions)
+    terms_of = jax.jit(objective.terms)
+    terms = terms_of(problem._replace(before=held), actions, rollout)
     # Nothing, one change at once, one change later.
     np.testing.assert_allclose(np.asarray(terms["lead_change"])[:3], [0.0, 0.01, 0.01], rtol=0, atol=1e-6)
     ahead = held._replace(position=FLANGE[:, None] + np.array([[0.01], [0.0], [0.0]]))
-    _, terms = roll_out(problem._replace(before=ahead), actions)
+    terms = terms_of(problem._replace(before=ahead), actions, rollout)
     np.testing.assert_allclose(np.asarray(terms["lead_change"])[:2], [0.01, 0.0], rtol=0, atol=1e-6)
 
 
@@ -192,22 +194,19 @@ class TestTerms:
         with pytest.raises(SettingsError, match="heigth_weight: expected a cost term with this weight"):
             term_weights(Mistyped())
 
-    def test_one_more_counts_where_the_settings_have_its_weight(self, objective, monkeypatch):
+    def test_one_more_counts_where_the_settings_have_its_weight(self, roll_out, objective, monkeypatch):
         @dataclasses.dataclass(frozen=True)
         class Raised(PlanningSettings):
             height_weight: float = setting(2.0, "height", minimum=0.0, maximum=10.0)
 
+        rollout, _ = roll_out(make_problem(HOME, FLANGE, ball(FAR_BALL)), STILL)
         # Over lanes alone, and over knots and lanes.
         monkeypatch.setitem(TERMS, "height", Term(lambda context: -context.position[2, -1], "height_weight"))
         monkeypatch.setitem(TERMS, "heights", Term(lambda context: context.position[2, 1:], "height_weight"))
         assert not {"height", "heights"} & set(term_weights(SMALL))
-        problem = make_problem(HOME, FLANGE, None, Raised(deadline=0.0))
-
-        def run(actions):
-            rollout = objective.roll_out(problem, actions)
-            return rollout, objective.terms(problem, actions, rollout), objective.cost(problem, actions)
-
-        rollout, terms, cost = jax.jit(run)(STILL[:, :, :2])
+        problem = make_problem(HOME, FLANGE, ball(FAR_BALL), Raised(deadline=0.0))
+        monkeypatch.setattr(Objective, "roll_out", lambda *_: rollout)
+        terms, cost = jax.jit(lambda: (objective.terms(problem, STILL, rollout), objective.cost(problem, STILL)))()
         heights = np.asarray(rollout.pose.position)[1:, 2]
         np.testing.assert_allclose(terms["height"], -2.0 * heights[-1], rtol=1e-6)
         np.testing.assert_allclose(terms["heights"], 2.0 * heights.sum(axis=0), rtol=1e-6)

@@ -43,13 +43,14 @@ CASES = {
     "five joints, as much as they can hold": ("zyyzy", AUTO, 5),
     "four joints, as much as they can hold": ("zyyy", AUTO, 3 + 4),
 }
+QUICK = ("six joints, pose", "five joints, as much as they can hold")
 LANES = 4
 SIX_HOME, SIX_REST = np.array(SIX_AXIS.home), np.zeros(SIX_AXIS.n)
 
 
 @pytest.mark.parametrize(
     "case",
-    [pytest.param(case, marks=[pytest.mark.slow] * (case == "six joints, position")) for case in CASES],
+    [pytest.param(case, marks=[pytest.mark.slow] * (case not in QUICK)) for case in CASES],
 )
 def test_variables_are_what_has_an_effect_and_the_model_moves_as_the_arm_does(case):
     arm, gains, variables = CASES[case]

@@ -112,7 +112,7 @@ def test_network_of_springs_and_dampers_is_followed_exactly():
     np.testing.assert_allclose(relaxation @ start + compliance @ force, displacement, rtol=0, atol=2e-6)
 
 
-@pytest.mark.parametrize("capacity", [5, 2])
+@pytest.mark.parametrize("capacity", [pytest.param(5, marks=pytest.mark.slow), 2])
 def test_joined_spheres_rest_where_their_springs_hold_the_force(settled, capacity):
     """With all spheres, and with two of them while the others are condensed away."""
     spheres = chain(5)

@@ -27,7 +27,7 @@ def turned(rotation: jax.Array) -> jax.Array:
     return jnp.einsum("ij,jkb->ikb", Rotation.from_rotvec(-TURN).as_matrix(), rotation)
 
 
-@pytest.fixture(scope="module", params=[ARM, WITH_TOOL], ids=["iiwa", "tool"])
+@pytest.fixture(scope="module", params=[pytest.param(ARM, marks=pytest.mark.slow), WITH_TOOL], ids=["iiwa", "tool"])
 def arm(request) -> Arm:
     return request.param
 

@@ -26,7 +26,7 @@ def kill_in_motion(victim, env, folder):
     folder.mkdir()
     parameters, output = parameter_file(folder / "small.yaml", planner=PATIENT_PLANNER), folder / "output.txt"
     files = ["--output", str(folder), "--parameters", str(parameters)]
-    with running([*module("cli"), "demo", "--scene", "free", *files], env, output) as process:
+    with running([*module("cli"), "demo", "--scene", "ball", "--seed", "1", *files], env, output) as process:
         wait_for(lambda: moved(output.read_text()) or process.poll() is not None, 300, "the arm moves")
         if process.poll() is not None:
             return None
