@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from benchmarks.statistics import Estimate, estimate, share
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.world.scene import NO_MISMATCH, MismatchSettings
 from contact_reach_ros.world.spheres import MAX_SPHERES
 
 _EQUAL = 0.1
@@ -54,6 +56,10 @@ class Clutter:
     )
     timeout: float = 60.0
     """To reach the goal, s; methods that follow a path to its end have longer."""
+    foam_factor: float = 1.0
+    """Up to how much stiffer or softer bodies are than they are said to be."""
+    placement_error: float = 0.0
+    """Up to how far they are from where they are seen, m."""
 
     def __post_init__(self) -> None:
         for method in self.methods:
@@ -75,6 +81,11 @@ class Clutter:
         return self.only or range(self.seed, self.seed + self.scenes)
 
     @property
+    def mismatch(self) -> MismatchSettings:
+        """Of the simulation; the robot itself is as it is modelled."""
+        return dataclasses.replace(NO_MISMATCH, foam_factor=self.foam_factor, placement_error=self.placement_error)
+
+    @property
     def cells(self) -> list[Cell]:
         """All episodes, scene by scene."""
         return [Cell(clutter_name(seed), "hold", method, seed) for seed in self.seeds for method in self.methods]
@@ -92,7 +103,8 @@ def bench_clutter(
     """
     setup = setup or Setup.of(bench.preset, load_budget(), capacity=MAX_SPHERES, timeout=bench.timeout)
     arm = load_arm(setup.arm)
-    scenes = {clutter_name(seed): clutter_scene(arm, seed) for seed in bench.seeds}
+    files = (clutter_scene(arm, seed) for seed in bench.seeds)
+    scenes = {file.name: dataclasses.replace(file, mismatch=bench.mismatch) for file in files}
     description = {"command": command_of("clutter", bench), "seeds": [bench.seeds[0], bench.seeds[-1]]}
     report = run_grid("clutter", description, setup, scenes, bench.cells, workers)
     report.update(summary(report["episodes"], bench.methods))
@@ -201,6 +213,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", nargs="+", type=int, metavar="SEED", help="scenes, such as the oracle names, instead")
     parser.add_argument("--methods", nargs="+", metavar="METHOD", help="see benchmarks/baselines.md (default: eight)")
     parser.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 60)")
+    parser.add_argument("--foam-factor", type=float, help="bodies are up to so much stiffer or softer than said")
+    parser.add_argument("--placement-error", type=float, help="bodies are up to so far from where they are seen, m")
     options = given(parser, arguments)
     file, workers = options.pop("file", None), options.pop("workers", None)
     bench_clutter(Clutter(**options), file, workers)

@@ -35,8 +35,8 @@ def pytest_addoption(parser):
     parser.addoption("--quick", action="store_true", help="no slow tests, and a part of the fault matrix")
 
 
-LONGEST = ("stacks", "examples", "planning", "net", "benchmarks", "nodes", "faults", "identification", "bags", "test")
-"""Folders whose tests take minutes, in the order in which they are run."""
+LONGEST = ("stacks", "benchmarks", "planning", "test", "examples", "nodes", "arm", "faults", "control")
+"""Folders whose tests take minutes, in the order in which they are run: `planning` has the programs of `stacks`."""
 
 
 @pytest.hookimpl(tryfirst=True)
