@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,6 +24,8 @@ _ACROSS = np.eye(3) / _FORCE**2
 _ALONG = 1.0 / _FORCE_ALONG**2 - 1.0 / _FORCE**2
 _FRICTION = 0.5
 """Greatest friction of a known body, as a share of its normal force."""
+_ROW_OF_SUM = 100.0
+"""Weight of the sum of all forces in the fit, beside torques in units of the contact thresholds: it is kept exactly."""
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
 """Coordinates in a cross product; NumPy's own function takes ten times as long."""
 
@@ -131,12 +134,16 @@ class ContactLocator:
         sides = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
         sides /= np.linalg.norm(sides, axis=1, keepdims=True)
         across = np.cross(normals, sides)
-        edges = np.stack([normals + _FRICTION * side for side in (sides, -sides, across, -across)], axis=2)
+        slope = math.hypot(1.0, _FRICTION)
+        tilted = [(normals + _FRICTION * side) / slope for side in (sides, -sides, across, -across)]
+        edges = np.stack([normals, *tilted], axis=2)
         rows = self._rows(*self._frames(q), places.points, places.links)
         columns = (rows @ edges).transpose(1, 0, 2).reshape(len(q), -1)
-        forces, _ = nnls(columns, self._weights * torque)
-        share = min(1.0, most / max(float(forces.sum()), 1e-9))
-        return torque - share * (columns @ forces) / self._weights
+        # One force more, which moves nothing, takes up what the others leave of `most`.
+        columns = np.hstack([most * columns, np.zeros((len(q), 1))])
+        sums = np.full((1, columns.shape[1]), _ROW_OF_SUM)
+        shares, _ = nnls(np.vstack([columns, sums]), np.append(self._weights * torque, _ROW_OF_SUM))
+        return torque - columns @ shares / self._weights
 
     def _frames(self, q: Array) -> tuple[Array, Array]:
         """Rotations (n, 3, 3) and origins (n, 3), m, of the joints' frames."""

@@ -70,6 +70,18 @@ def test_a_permitted_force_of_a_known_ball_is_explained_although_it_is_1_cm_misp
             assert EXPLANATION.unexpected(located(push(capsule, force * normal, q), q), q, touched) is None
 
 
+def test_known_balls_on_all_sides_explain_permitted_forces_of_two_of_them_with_an_error_of_the_model():
+    """As between walls: great forces that cancel each other would fit the error, too, but are not permitted."""
+    random, sides = np.random.default_rng(0), (SIDEWAYS, -SIDEWAYS, UP, -UP)
+    centers = np.concatenate([ball(capsule, side).center for capsule in CAPSULES for side in sides])
+    radius, stiffness, damping = (np.full(len(centers), value) for value in (0.06, 100.0, 30.0))
+    around = Spheres(centers, centers, radius, stiffness, damping)
+    for _ in range(50):
+        pushed = sum(push(int(random.choice(CAPSULES)), 4.0 * sides[random.integers(4)]) for _ in range(2))
+        error = random.uniform(-0.5, 0.5, ARM.n) * BUDGET.resolve(ARM).contact_thresholds
+        assert EXPLANATION.unexpected(located(pushed + error), HOME, around) is None
+
+
 @pytest.mark.parametrize("capsule", CAPSULES)
 def test_of_a_stronger_one_what_is_beyond_the_permitted_force_is_left(capsule):
     left = EXPLANATION.unexpected(located(push(capsule, 20.0 * SIDEWAYS)), HOME, ball(capsule, SIDEWAYS))
