@@ -314,7 +314,7 @@ CAUSES = ("controller/stop", "observer/stop", "driver/stop", "push", "no efforts
     ("has_brakes", "has_adapter", "causes"),
     [
         pytest.param(True, False, CAUSES[3:5], id="brakes, quick"),
-        pytest.param(False, True, CAUSES[::5], id="adapter, quick"),
+        pytest.param(False, True, CAUSES[::5], id="adapter, quick", marks=pytest.mark.slow),
         *(pytest.param(*drive, CAUSES, marks=pytest.mark.slow) for drive in itertools.product((True, False), repeat=2)),
     ],
 )

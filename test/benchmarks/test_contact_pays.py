@@ -38,6 +38,7 @@ def results():
     return {name: run(name, scene, goal, 12.0, until_settled=name == "contact_reach") for name in names}
 
 
+@pytest.mark.slow
 def test_the_planner_settles_at_a_fruit_among_stems():
     scene = cr.load_scene("plant", seed=17)
     goal = cr.Goal(scene.target, orientation="free")

@@ -1,6 +1,7 @@
 """What an episode hands to the planner, and what it reports of the walls."""
 
 import numpy as np
+import pytest
 from arm_simulation import ARM
 
 from benchmarks.baselines.method import Method
@@ -24,6 +25,7 @@ class WatchingPlanner(ScriptedPlanner):
         return super().plan(request)
 
 
+@pytest.mark.slow
 def test_the_planner_sees_the_walls_give_way_and_pushing_through_is_felt():
     scene = make_scene(read_scene("wall"), ARM, 0)
     planner = WatchingPlanner(scene)

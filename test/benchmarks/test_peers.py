@@ -79,6 +79,7 @@ def test_the_table_compares_the_targets_that_all_planners_have_had():
     assert len(lines) == 2 + len(PLANNERS)
 
 
+@pytest.mark.slow
 def test_packages_that_cannot_be_installed_are_named_and_tried_again(tmp_path, monkeypatch):
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     for _ in range(2):

@@ -10,7 +10,7 @@ from benchmarks.model import simulate
 from contact_reach_ros.world.scene import Scene
 
 BOUNDS = np.array([0.01] * 3 + [0.1] * 3 + [0.2] * 7)
-SIMULATED = 10
+SIMULATED = 6
 """Lanes that MuJoCo simulates, too."""
 
 
