@@ -99,7 +99,6 @@ _AT_THE_START = (
 _RECENT = 8
 """Plans whose times the latency of the next one is estimated from: on a busy machine they vary."""
 _MAX_LATENCY_NS = NANOSECONDS // 4
-"""What takes longer is no plan as the next one will be, but a search for a way."""
 _ATTEMPTS = 5
 """Plans for a new goal that are tried: each search starts with other candidates."""
 
@@ -356,14 +355,13 @@ class Planner:
 
     def took(self, duration_ns: int) -> None:
         """Take the time from a plan's request to its publication, ns: later ones take effect no earlier than that."""
-        if duration_ns < _MAX_LATENCY_NS:
-            self._took_ns.append(duration_ns)
+        self._took_ns.append(duration_ns)
         self._busy_ns = duration_ns
 
     @property
     def _latency_ns(self) -> int:
         """Time from a state to the effect of its plan, ns."""
-        return max(self.settings.latency_ns, *self._took_ns)
+        return max(self.settings.latency_ns, min(max(self._took_ns), _MAX_LATENCY_NS))
 
     def _follow_progress(self, state: JointState) -> None:
         if self._progress is None or self.goal is None:

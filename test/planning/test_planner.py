@@ -366,8 +366,7 @@ def test_a_goal_that_proves_unreachable_on_the_way_is_refused_at_once():
 
 
 def test_the_latency_is_that_of_the_slowest_of_the_last_plans_but_never_less_than_wanted(planner):
-    """Nor is it that of a search for a way, the last one here."""
-    for number, (took, expected) in enumerate([(30, 40), (90, 90), *7 * [(50, 90)], (50, 50), (800, 50)], 1):
+    for number, (took, expected) in enumerate([(30, 40), (90, 90), *7 * [(50, 90)], (50, 50)], 1):
         planner.took(took * TICK_NS)
         request = planner.request(state(30 * number))
         assert request.effect_ns - request.state_ns == expected * TICK_NS, number
