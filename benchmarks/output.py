@@ -59,7 +59,7 @@ def command_of(name: str, options: Any) -> str:
         if field.default is dataclasses.MISSING:
             words += texts
         elif value != field.default:
-            words += [f"--{field.name}", *texts]
+            words += [f"--{field.name.replace('_', '-')}", *texts]
     return shlex.join(words)
 
 

@@ -79,13 +79,14 @@ def test_the_summary_counts_what_settles_who_is_best_and_how_often_contact_was_n
 
 
 def test_a_tiny_run_has_the_whole_report(tmp_path, capsys):
-    tiny = Clutter(scenes=1, seed=4, methods=("reactive",))
+    tiny = Clutter(scenes=1, seed=4, methods=("reactive",), foam_factor=2.0)
     file, picture = tmp_path / "clutter.json", tmp_path / "clutter.png"
     report = bench_clutter(tiny, file, workers=1, setup=TINY)
     assert set(report["methods"]) == {"reactive"}
     for found in report["methods"].values():
         assert {"entered", "settled", "success", "time_ratio", "peak_force_N", "impulse_Ns"} <= set(found)
     assert report["scenes"] == 1
+    assert report["command"].endswith("--methods reactive --foam-factor 2.0")
     assert "| reactive |" in capsys.readouterr().out
     assert bench(pictures, file, picture) == 0
     assert picture.stat().st_size > 10_000

@@ -76,19 +76,22 @@ def test_the_doctor_passes_it(stack, tmp_path):
 
 
 def test_goals_stops_and_resets(stack):
-    turned, settled, refused, late, stopped, kept, released = command_lines(
+    turned, settled, refused, faster, late, stopped, kept, released, again = command_lines(
         stack.env,
         "goto 0.51 0.025 0.145 --rpy 0 3.14 0",
         "goto 0.51 0.025 0.145 --wait",
         "goto 2.0 0.0 0.3",
+        "speed 2",
         "home --wait --timeout 0.1",
         "stop",
         "goto 0.5 0.1 0.3",
+        "reset",
         "reset",
     )
     assert refused[0] == 1 and "refused: goal: position" in refused[1]
     assert turned[0] == 2 and "goal_orientation = hold" in turned[1]
     assert settled[0] == 0 and settled[1].startswith("settled: ")
+    assert faster[0] == 1 and "speed_scale" in faster[1]
     assert late[0] == 1 and late[1].startswith("not settled; ")
     # By the controller, unless another was discovered a second before it.
     stops = {"controller": "compliant stop", "observer": "stopped", "driver": "brakes closed"}
@@ -98,6 +101,7 @@ def test_goals_stops_and_resets(stack):
     # The controller follows a stop of the observer, and does not know of one of the driver, whose brakes may follow.
     expected = "driver: released" if by == "driver" else "controller: holding"
     assert released[0] == 0 and expected in released[1], released
+    assert again == (0, "nothing is stopped")
 
 
 @pytest.mark.slow
