@@ -5,6 +5,7 @@ ARGS ?=
 comma := ,
 VENV := .venv
 BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
 
 # A sourced ROS 2 provides rclpy through PYTHONPATH, also inside .venv; otherwise rclpy comes as wheels.
 SOURCED := $(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH))
@@ -73,8 +74,11 @@ ifeq ($(SOURCED),)
 	@test "$$(uname -sm)" = "Linux x86_64" || $(call FAIL,the rclpy wheels are for Linux on x86-64$(comma) \
 	  and this is $$(uname -sm). Install ROS 2 Jazzy$(comma) source its setup.bash and run make again.)
 endif
-	@echo "Installing into $(VENV); the first time takes a minute or two ..."
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
+	@echo "Installing into $(VENV); the first time takes about a minute ..."
+	@$(PIP) -c constraints.txt uv
+	@$(BIN)/python -m uv pip install -q --python $(BIN)/python -c constraints.txt -e '.[$(EXTRAS)]' || { \
+	  echo "uv could not install it (see above), for instance since only pip knows your index: trying pip ..."; \
+	  $(PIP) -c constraints.txt -e '.[$(EXTRAS)]'; }
 ifneq ($(SOURCED),)
 	@$(BIN)/python -c 'import rclpy' || $(call FAIL,$(call FOREIGN,$(BIN)/python))
 endif
