@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from benchmarks.claims import interval_text
 from benchmarks.clutter_scenes import FIRST_HELD_OUT, clutter_name, clutter_scene
 from benchmarks.grid import Cell, Record, Setup
 from benchmarks.grid_run import run_grid
+from benchmarks.oracle import Kind, seeds_of
 from benchmarks.output import Report, command_line, command_of, given, run_command, table, write_report
 from benchmarks.statistics import Estimate, estimate, share
 from contact_reach_ros.arms import load_arm
@@ -38,11 +40,15 @@ _FIGURES = (
 
 @dataclass(frozen=True)
 class Clutter:
-    """What is run: a number of scenes with the seeds from `seed` on, or those of `only`; for the rest see `Table1`."""
+    """What is run: a number of scenes with the seeds from `seed` on, or those of `only`; for the rest see `Table1`.
+
+    Of the scenes from `seed` on, those of `kind` count, if it is one of the oracle's.
+    """
 
     preset: str = "shipped"
     scenes: int = 100
     seed: int = FIRST_HELD_OUT
+    kind: str = ""
     only: tuple[int, ...] = ()
     methods: tuple[str, ...] = (
         "contact_reach",
@@ -72,12 +78,16 @@ class Clutter:
         ):
             if number < least:
                 raise SettingsError(f"--{name} {number}: expected at least {least}")
+        if self.kind and self.only:
+            raise SettingsError("--kind and --only both choose the scenes; expected one of them")
         if not self.timeout > 0.0:
             raise SettingsError(f"--timeout {self.timeout:g}: expected a positive time in s")
 
-    @property
+    @functools.cached_property
     def seeds(self) -> Sequence[int]:
         """Of the scenes."""
+        if self.kind:
+            return seeds_of(self.kind, self.seed, self.scenes)
         return self.only or range(self.seed, self.seed + self.scenes)
 
     @property
@@ -210,7 +220,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--preset", help="configuration: paper_linear, paper_hinge or shipped (default: shipped)")
     parser.add_argument("--scenes", type=int, help="how many (default: 100)")
     parser.add_argument("--seed", type=int, help="of the first; below 10000 for tuning (default: 10000)")
-    parser.add_argument("--only", nargs="+", type=int, metavar="SEED", help="scenes, such as the oracle names, instead")
+    kinds = [kind.value for kind in Kind]
+    parser.add_argument("--kind", choices=kinds, help="only those that the oracle says are of this kind (default: all)")
+    parser.add_argument("--only", nargs="+", type=int, metavar="SEED", help="scenes with these seeds instead")
     parser.add_argument("--methods", nargs="+", metavar="METHOD", help="see benchmarks/baselines.md (default: eight)")
     parser.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 60)")
     parser.add_argument("--foam-factor", type=float, help="bodies are up to so much stiffer or softer than said")

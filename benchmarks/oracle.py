@@ -122,6 +122,17 @@ def classify(arm: Arm, scene: Scene, permitted_force: float) -> Verdict:
     return found
 
 
+def seeds_of(kind: str, seed: int, scenes: int) -> list[int]:
+    """The first `scenes` seeds, from `seed` on, whose scenes are of a kind; a scene takes up to a second."""
+    arm, permitted = load_arm(), load_budget().permitted_force
+    sorted_out = (_classify_seed(arm, number, permitted) for number in itertools.count(seed))
+    return [each.seed for each in itertools.islice((each for each in sorted_out if each.kind is Kind(kind)), scenes)]
+
+
+def _classify_seed(arm: Arm, seed: int, permitted_force: float) -> Verdict:
+    return classify(arm, make_scene(clutter_scene(arm, seed), arm, seed), permitted_force)
+
+
 def _limits(permitted_force: float) -> dict[str, float]:
     return {"free": 0.0, "tolerant": permitted_force}
 
@@ -136,7 +147,7 @@ def bench_oracle(seed: int = 0, scenes: int = 100, file: Path | None = None) -> 
     arm, permitted = load_arm(), load_budget().permitted_force
     done: list[dict[str, Any]] = []
     for number in range(seed, seed + scenes):
-        verdict = classify(arm, make_scene(clutter_scene(arm, number), arm, number), permitted)
+        verdict = _classify_seed(arm, number, permitted)
         done.append({**vars(verdict), "kind": verdict.kind.value})
         say(f"{number}: {verdict}")
     if file is not None:

@@ -8,6 +8,7 @@ from arm_simulation import ARM
 from contact_reach_command import bench
 
 from benchmarks import oracle
+from benchmarks.clutter import Clutter
 from benchmarks.oracle import Kind, classify
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.observer.budget import load_budget
@@ -59,4 +60,5 @@ def test_its_command_lists_the_seeds_of_each_kind(tmp_path, capsys):
     shown = capsys.readouterr().out
     for line in lines:
         assert f"| {line['kind']} | 1 | {line['seed']} |" in shown
+    assert Clutter(kind=lines[1]["kind"], seed=4, scenes=1).seeds == [5]
     assert bench(oracle, "--scenes", "0") == 2

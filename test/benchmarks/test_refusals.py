@@ -15,6 +15,7 @@ from benchmarks import clutter, foam, observer, setting, solver, table1
         (table1, "--preset paper", "preset 'paper' is unknown; expected one of paper_linear"),
         (clutter, "--scenes 0", "--scenes 0: expected at least 1"),
         (clutter, "--only 3 -1", "--only -1: expected at least 0"),
+        (clutter, "--kind contact --only 3", "expected one of them"),
         (solver, "--states 1", "at least 2"),
         (setting, "contact_wieght 1", "contact_wieght"),
         (setting, "null_stiffness 1000", "null_stiffness"),
