@@ -22,8 +22,6 @@ from contact_reach_ros.errors import BagError, ContactReachError, InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.goal_state import describe
 from contact_reach_ros.planning.goal_progress import GoalPhase
-from contact_reach_ros.report.bag import ReportBag, as_json, metrics, quantity
-from contact_reach_ros.report.plot import draw_episode
 from contact_reach_ros.resources import write_text
 from contact_reach_ros.ros.client import StackClient
 from contact_reach_ros.ros.interfaces import CONTROLLER, DEMO
@@ -106,11 +104,8 @@ def _run(options: DemoOptions) -> tuple[int, float]:
             _say("ending the stack")
     if failure:
         print(f"demo: {failure}", file=sys.stderr)
-    found = _judge(bag, options)
-    if failure or found is None:
-        return 1, 0.0
-    missed, ticks = (metrics(found)[name][0] for name in ("ticks missed", "ticks"))
-    return (0 if found.good else 1), missed / (missed + ticks or 1.0)
+    judged = _judge(bag, options)
+    return (1, 0.0) if failure else judged
 
 
 def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, view: bool) -> None:
@@ -141,19 +136,25 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
         stack.watch(_LOOK_S)
 
 
-def _judge(bag: Path, options: DemoOptions) -> ReportBag | None:
-    """Read the bag, print its numbers and write plot and JSON; None if there is nothing to judge."""
+def _judge(bag: Path, options: DemoOptions) -> tuple[int, float]:
+    """Read the bag, print its numbers and write plot and JSON; returns the exit code and the share of missed ticks."""
+    # Loaded before the stack, they would delay its start by as much as a node does.
+    from contact_reach_ros.report.bag import ReportBag, as_json, metrics, quantity
+    from contact_reach_ros.report.plot import draw_episode
+
     try:
         found = ReportBag(bag, bag.name, _TIMEOUT_S, _SETTLE_S)
     except BagError as error:
         print(f"no summary of {bag}: {error}", file=sys.stderr)
-        return None
+        return 1, 0.0
     plot = bag.with_suffix(".png")
     draw_episode(found, f"scene {options.scene}, seed {options.seed}: {found.verdict}", plot)
-    numbers = {name: quantity(*value) for name, value in metrics(found).items()}
+    numbers = metrics(found)
+    quantities = {name: quantity(*value) for name, value in numbers.items()}
     print()
-    for label, text in {"result": found.verdict, **numbers, "bag": bag, "plot": plot}.items():
+    for label, text in {"result": found.verdict, **quantities, "bag": bag, "plot": plot}.items():
         print(f"  {label:40}{text}")
     if options.json:
         write_text(Path(options.json), json.dumps(as_json(found), indent=2, allow_nan=False) + "\n")
-    return found
+    missed, ticks = (numbers[name][0] for name in ("ticks missed", "ticks"))
+    return (0 if found.good else 1), missed / (missed + ticks or 1.0)
