@@ -38,6 +38,8 @@ _STEP = 0.01
 _BOUND = 0.0075
 """γ of Δx, m."""
 _VIA_TOLERANCE = 0.05
+_TIMEOUT = 60.0
+"""Simulated time for each goal, s."""
 _REST = 1e-5
 """Spread of costs, in cm, and of variables, as a share of σ₀, at which a search ends."""
 
@@ -183,12 +185,12 @@ def bench_paper_code(
     stack = make_stack(scene, seed)
     runs: dict[str, Callable[[], Any]] = {}
     if via is not None:
-        runs["via"] = lambda: stack.run(Goal(via, FREE, tolerance=_VIA_TOLERANCE))
-    runs["target"] = lambda: stack.run(stack.scene.goal, until_settled=True)
+        runs["via"] = lambda: stack.run(Goal(via, FREE, tolerance=_VIA_TOLERANCE), _TIMEOUT)
+    runs["target"] = lambda: stack.run(stack.scene.goal, _TIMEOUT, until_settled=True)
     report: dict[str, Any] = {"scene": scene, "seed": seed}
     for name, run in runs.items():
         report[name] = run()._asdict()
-        print(f"{name}: " + ", ".join(f"{key} {value}" for key, value in report[name].items()))
+        print(f"{name}: " + ", ".join(f"{key} {value}" for key, value in report[name].items()), flush=True)
     write_report(report, file)
     return report
 
