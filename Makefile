@@ -10,6 +10,7 @@ PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
 # A sourced ROS 2 provides rclpy through PYTHONPATH, also inside .venv; otherwise rclpy comes as wheels.
 SOURCED := $(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH))
 EXTRAS := benchmarks$(comma)$(if $(SOURCED),test,ros$(comma)test)
+OWN := -e '.[$(EXTRAS)]'
 STAMP := $(VENV)/.installed-$(if $(SOURCED),$(ROS_DISTRO),wheels)
 
 # Some tests need a browser or a compiler. $(call SYSTEM,is it there?,package,tests) installs what is
@@ -75,10 +76,9 @@ ifeq ($(SOURCED),)
 	  and this is $$(uname -sm). Install ROS 2 Jazzy$(comma) source its setup.bash and run make again.)
 endif
 	@echo "Installing into $(VENV); the first time takes about a minute ..."
-	@$(PIP) -c constraints.txt uv
-	@$(BIN)/python -m uv pip install -q --python $(BIN)/python -c constraints.txt -e '.[$(EXTRAS)]' || { \
+	@{ $(PIP) -c constraints.txt uv && $(BIN)/python -m uv pip install -q --python $(BIN)/python -c constraints.txt $(OWN); } || { \
 	  echo "uv could not install it (see above), for instance since only pip knows your index: trying pip ..."; \
-	  $(PIP) -c constraints.txt -e '.[$(EXTRAS)]'; }
+	  $(PIP) -c constraints.txt $(OWN); }
 ifneq ($(SOURCED),)
 	@$(BIN)/python -c 'import rclpy' || $(call FAIL,$(call FOREIGN,$(BIN)/python))
 endif
