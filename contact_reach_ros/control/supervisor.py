@@ -223,10 +223,11 @@ class Supervisor:
             raise InputError("the observer is silent: start it, then reset")
 
     def hear(self, name: str, verdict: Verdict, clock_ns: int) -> None:
-        """Take a report of `OBSERVER` or `OWN_WATCH`; a reason in it stops the arm once it has started.
+        """Take a report of `OBSERVER` or `OWN_WATCH`; a reason in it, or a lost torque, stops an arm that has started.
 
         That of the observer is also its heartbeat. `clock_ns`: time of its arrival on the watchdogs' clock.
         """
+        was_known = name in self._verdicts and self._verdicts[name].torque_known
         self._verdicts[name] = verdict
         if name == OBSERVER:
             self._heard_ns = clock_ns
@@ -234,6 +235,9 @@ class Supervisor:
             return
         if verdict.reason:
             self.stop(verdict.reason)
+        if was_known and not verdict.torque_known:
+            text = "the acting torque is not known any more: the drive has closed its brakes, or its sensors failed"
+            self.stop(StopReason(StopCode.BLIND, text))
         if verdict.distrust:
             self.stop(verdict.distrust)
             self._give_up("" if verdict.distrust == self._reason else verdict.distrust)

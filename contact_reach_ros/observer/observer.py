@@ -68,6 +68,12 @@ def describe_contact(contact: Contact | None) -> str:
     return f"{contact.strength:.0f} N at {contact.link}"
 
 
+_REPEATED = (
+    "joint_states repeat positions, velocities and efforts to the last bit, with new stamps: the driver has lost the "
+    "robot"
+)
+
+
 class Observer:
     """Momentum observer, safety monitor, plausibility check and contact location, in that order, for each joint state.
 
@@ -120,6 +126,8 @@ class Observer:
         self._torque_check = TorqueCheck(arm, period)
         self._locator = ContactLocator(model, budget.contact_thresholds)
         self._locates = locates
+        self._content = b""
+        """Positions, velocities and torques of the last state."""
         self._permitted = budget.permitted_force + EXCESS_FORCE
         self._heartbeat_every = max(1, round(HEARTBEAT / period))
         self._excess = Debounce(EXCESS_TIME, period * self._heartbeat_every)
@@ -139,14 +147,17 @@ class Observer:
             raise InputError(f"joint_states: position and velocity must be finite, got {q.tolist()}, {v.tolist()}")
         if not self.order.is_new(stamp_ns):
             return self._conclude(stamp_ns, is_heartbeat=True) if self.sight.repeated() else None
-        torque, missing = self._known_torque(state.torque)
+        torque, missing = self._known_torque(state.torque, stamp_ns)
+        content = q.tobytes() + v.tobytes() + (b"" if torque is None else torque.tobytes())
+        is_repeated, self._content = torque is not None and content == self._content, content
         momentum, monitor = self.momentum, self.monitor
         if missing:
             # The next state is compared with the last good one: this is no hand-over.
             momentum.refused += 1
         else:
             momentum.update(q, v, torque, stamp_ns)
-        self.sight.advanced(stamp_ns, v, momentum.updated_ns == stamp_ns, missing, torque is not None)
+        seen = momentum.updated_ns == stamp_ns and not is_repeated
+        self.sight.advanced(stamp_ns, v, seen, missing or is_repeated * _REPEATED, torque is not None)
         monitor.update(momentum.residual, q, v, momentum.known_for)
         wrong = self._plausibility.update(q, v, monitor.sudden, stamp_ns)
         if wrong:
@@ -220,7 +231,7 @@ class Observer:
         self.sight.check_fresh(silence)
         self.monitor.reset()
 
-    def _known_torque(self, measured: Array | None) -> tuple[Array | None, str]:
+    def _known_torque(self, measured: Array | None, stamp_ns: int) -> tuple[Array | None, str]:
         """The measured torque (n,), N m, None while it is unknown; and why, unless the brakes may be closed."""
         if measured is None:
             return None, "joint_states carry no effort: let the driver fill it"
@@ -228,6 +239,7 @@ class Observer:
             return measured, ""
         unknown = ~np.isfinite(measured)
         if np.isnan(measured).all():
-            return None, ""
+            # Brakes stay closed for longer than a sensor may fail.
+            return None, "joint_states carry no finite effort at times" if self.sight.sees(stamp_ns) else ""
         names = ", ".join(name for name, lacks in zip(self.arm.joint_names, unknown, strict=True) if lacks)
         return None, f"joint_states carry no finite effort for {names}: look at the driver's torque sensors"

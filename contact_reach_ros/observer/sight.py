@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contact_reach_ros.arm import REST_SPEED, Arm, Array, check_fresh
+from contact_reach_ros.arm import BLIND_AFTER, REST_SPEED, Arm, Array, check_fresh
 from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.timing import NANOSECONDS, PAUSE
 
@@ -86,6 +86,9 @@ class Sight:
         self._limit_ns = round(max(blind_after, _PERIODS * period) * NANOSECONDS)
         self._seen_ns: int | None = None
         """Stamp of the last usable state."""
+        self._torque_ns: int | None = None
+        """Stamp of the last state that a torque followed from."""
+        self._lapse_ns = round(max(BLIND_AFTER, _PERIODS * period) * NANOSECONDS)
         self._stamp_ns = 0
         """Stamp of the last new state."""
         self._repeated = 0
@@ -109,8 +112,8 @@ class Sight:
         self._repeated, self._stamp_ns = 0, stamp_ns
         self.rate.update(stamp_ns)
         if seen:
-            self._seen_ns, self.blind = stamp_ns, ""
-            self.doubt = self.rate.mismatch()
+            self._seen_ns = self._torque_ns = stamp_ns
+            self.blind, self.doubt = "", self.rate.mismatch()
             return
         speed = float(np.abs(v).max())
         if not known and not missing and speed <= REST_SPEED:
@@ -124,6 +127,10 @@ class Sight:
                 self._lose(missing or self._explain_motion(v))
             else:
                 self._lose(self.rate.mismatch(least=2) or _explain_gaps(unseen_ns), StopCode.MISSED_STATES)
+
+    def sees(self, stamp_ns: int) -> bool:
+        """Whether a torque followed from a state so short a time ago that the brakes can hardly be closed."""
+        return self._torque_ns is not None and 0 <= stamp_ns - self._torque_ns <= self._lapse_ns
 
     def repeated(self) -> bool:
         """Take a state whose stamp is not new; returns whether the stamps have stopped."""
