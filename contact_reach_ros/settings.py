@@ -15,7 +15,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import yaml
 
@@ -229,13 +229,15 @@ def unknown_key(key: str, known: Mapping[str, Any] | Sequence[str], source: str,
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads the files of launch, too, which tags lists as Python's tuples, and numbers such as 1e-3, as ROS does.
+    """Reads the files of launch, too, which tags lists as Python's tuples, and numbers as ROS does: 1e-3, not 1:30.
 
     A key that is there twice is refused: ROS would merge its parts, and others would take the last one.
     """
 
+    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}
+
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys: list[str] = [key.value for key, _ in node.value if key.tag != "tag:yaml.org,2002:merge"]
+        keys: list[str] = [key.value for key, _ in node.value]
         for number, key in enumerate(keys):
             if key in keys[:number]:
                 at = node.value[number][0].start_mark
@@ -244,12 +246,36 @@ class _Loader(yaml.SafeLoader):
 
 
 _Loader.add_constructor("tag:yaml.org,2002:python/tuple", yaml.SafeLoader.construct_sequence)
-_Loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"[-+]?\d+[eE][-+]?\d+$"), list("-+0123456789"))
+for _tag, _expression in {
+    "bool": r"(?i:yes|no|true|false|on|off)$",
+    "int": r"[-+]?(0x[0-9a-fA-F]{1,16}|0[0-7]{0,20}|[1-9]\d{0,18})$",
+    "float": r"[-+]?(((\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|\.(?i:inf))$)|\.(?i:nan)$",
+    "null": r"(~|null|Null|NULL|)$",
+    "merge": r"<<$",
+}.items():
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(_expression), None)
+_MOST_VALUES = 100_000
+"""That a YAML text may hold, those that stand for others included."""
 
 
-def parse_yaml(text: str) -> Any:
-    """The value of a YAML text, in a file or on a command line; raises `yaml.YAMLError` if it is none."""
-    return yaml.load(text, _Loader)
+def parse_yaml(text: str, source: str) -> Any:
+    """The value of a YAML text; raises `SettingsError`, beginning with its source, if it is none, or far too large."""
+    sizes: dict[int, int] = {}
+
+    def size(value: Any) -> int:
+        parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+        if id(value) not in sizes:
+            sizes[id(value)] = 1 + sum(map(size, parts))
+        return sizes[id(value)] if parts else 1
+
+    try:
+        value = yaml.load(text, _Loader)
+        if size(value) > _MOST_VALUES:
+            raise SettingsError(f"{source}: its anchors stand for more than {_MOST_VALUES:,} values; write them out")
+    # Of tags, such as !!int and !!bool, what follows may be anything, and an anchor may stand in what it is for.
+    except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError, RecursionError) as error:
+        raise SettingsError(f"{source}: not valid YAML: {error}") from error
+    return value
 
 
 def read_yaml(file: Path) -> dict[str, Any]:
@@ -259,11 +285,11 @@ def read_yaml(file: Path) -> dict[str, Any]:
     file.
     """
     try:
-        content = parse_yaml(file.read_text("utf-8"))
+        content = parse_yaml(file.read_text("utf-8"), str(file))
     except OSError as error:
         raise SettingsError(f"{file}: cannot be read ({error.strerror}); give the path of a YAML file") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SettingsError(f"{file}: not valid YAML: {error}") from error
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{file}: not valid YAML: {error}; save it as UTF-8") from error
     if not isinstance(content, dict):
         raise SettingsError(f"{file}: holds {type(content).__name__}; expected a mapping of keys to values")
     return content
@@ -331,10 +357,19 @@ def parameters_in(file: Path, node_name: str, namespace: str = "/") -> dict[str,
         if str(pattern).rpartition("/")[2] == node_name:
             holds[str(pattern)] = is_for
         if is_for:
-            parameters = content["ros__parameters"] or {}
-            if not isinstance(parameters, dict):
+            parameters = content["ros__parameters"]
+            if beside := [str(key) for key in content if key != "ros__parameters"]:
+                raise SettingsError(
+                    f"{file}: {pattern}: {', '.join(beside)} beside ros__parameters; indent it, to stand below"
+                )
+            if not isinstance(parameters, dict | None):
                 raise SettingsError(f"{file}: {pattern}.ros__parameters is not a mapping of keys to values")
-            found.update(_flatten(parameters))
+            own: dict[str, Any] = {}
+            for name, value in _flat(parameters or {}):
+                if name in own:
+                    raise SettingsError(f"{file}: {pattern}: '{name}' is there twice; remove one")
+                own[name] = value
+            found |= own
     if holds and not any(holds.values()):
         raise SettingsError(
             f"{file}: {', '.join(holds)}: the {node_name} is in namespace {namespace}, where none of these sections "
@@ -399,9 +434,7 @@ def _is_for(pattern: str, node_name: str, namespace: str) -> bool:
     return re.fullmatch(expression, f"{namespace.rstrip('/')}/{node_name}") is not None
 
 
-def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     for key, value in tree.items():
         name = full_name(prefix, str(key))
-        flat |= _flatten(value, name) if isinstance(value, dict) else {name: value}
-    return flat
+        yield from _flat(value, name) if isinstance(value, dict) else [(name, value)]

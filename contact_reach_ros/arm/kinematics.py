@@ -17,6 +17,8 @@ TASK_ROWS = {POSE: 6, AXIS: 5, POSITION: 3}
 _POSTURES = 200
 _LEAST_QUALITY = 0.02
 """Smallest singular value, with lengths in units of the reach, from which a Jacobian has full rank."""
+_AT_ONCE = 1e-12
+"""Angle between an axis and -z that is a rounding error, rad."""
 _MANY = 10_000
 """Postures at once."""
 
@@ -36,9 +38,11 @@ def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
 def frame_about(axis: Array) -> Array:
     """The smallest rotation (3, 3) that turns z into the direction of `axis` (3,); exact for ±x, ±y and ±z."""
     x, y, z = axis / np.linalg.norm(axis)
-    if z < -1.0 + 1e-12:
+    across = x * x + y * y
+    if z < 0.0 and across < _AT_ONCE**2:
         return np.diag([1.0, -1.0, -1.0])
-    share = 1.0 / (1.0 + z)
+    # The same for both; the one for z < 0 does not lose digits near -1.
+    share = 1.0 / (1.0 + z) if z >= 0.0 else (1.0 - z) / across
     return np.array([[1.0 - share * x * x, -share * x * y, x], [-share * x * y, 1.0 - share * y * y, y], [-x, -y, z]])
 
 

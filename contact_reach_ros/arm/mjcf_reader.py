@@ -41,10 +41,9 @@ def robot_of_mjcf(file: Path) -> tuple[Element, list[str]]:
     try:
         # MuJoCo opens no file with another ending, nor one in capitals.
         spec = mujoco.MjSpec.from_file(str(file)) if file.suffix == ".xml" else _in_folder(file)
-        model = spec.compile()
+        return _Writer(spec.compile(), spec.modelname or file.stem).write()
     except (ValueError, mujoco.FatalError) as error:
         raise SettingsError(f"{file}: MuJoCo refuses it: {error}; mend what it names") from error
-    return _Writer(model, spec.modelname or file.stem).write()
 
 
 def _in_folder(file: Path) -> mujoco.MjSpec:
@@ -56,7 +55,9 @@ def _in_folder(file: Path) -> mujoco.MjSpec:
 class _Writer:
     def __init__(self, model: mujoco.MjModel, name: str) -> None:
         self._model = model
-        self._robot = Element("robot", name=name)
+        has_gravity = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+        self._robot = Element("robot", name=name, gravity=numbers(has_gravity * model.opt.gravity))
+        self._assumed = [f"limits: velocity {_SPEED:g} rad/s where none is given, since MJCF has none"]
         self._bodies = [model.body(number).name or f"body_{number}" for number in range(model.nbody)]
 
     def write(self) -> tuple[Element, list[str]]:
@@ -78,7 +79,25 @@ class _Writer:
                 SubElement(self._robot, "link", name=name)
                 place = _place(model.site_pos[site], model.site_quat[site])
                 add_joint(self._robot, f"{name} mount", "fixed", (self._bodies[model.site_bodyid[site]], name), place)
-        return self._robot, [f"limits: velocity {_SPEED:g} rad/s where none is given, since MJCF has none"]
+        for constraint in map(int, np.flatnonzero(model.eq_active0)):
+            self._add_mimic(constraint)
+        return self._robot, self._assumed
+
+    def _add_mimic(self, constraint: int) -> None:
+        """An equality between two joints, if it is linear; of all others only a line remains."""
+        model = self._model
+        objects, factors = (model.eq_obj1id[constraint], model.eq_obj2id[constraint]), model.eq_data[constraint]
+        is_of_joints = model.eq_type[constraint] == mujoco.mjtEq.mjEQ_JOINT
+        if is_of_joints and objects[1] >= 0 and not factors[2:5].any():
+            at, leads = (model.qpos0[model.jnt_qposadr[each]] for each in objects)
+            name, leader = (model.joint(each).name or f"joint_{each}" for each in objects)
+            follower = next(each for each in self._robot.findall("joint") if each.get("name") == name)
+            offset = at + factors[0] - factors[1] * leads
+            SubElement(follower, "mimic", joint=leader, multiplier=repr(float(factors[1])), offset=repr(float(offset)))
+        else:
+            kind = mujoco.mjtEq(model.eq_type[constraint]).name.removeprefix("mjEQ_").lower()
+            name = model.equality(constraint).name or str(constraint)
+            self._assumed.append(f"equality: constraint {name} ({kind}) is left out; the arm must not depend on it")
 
     def _add_joints(self, body: int) -> None:
         """The joints of a body, one after the other about their anchors, with links between them."""

@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import STANDING, Arm, Array, Vector3
@@ -21,9 +22,9 @@ _HEIGHT = 0.5
 """Greatest height of the shoulder over what a scene stands on, as a share of the reach."""
 
 
-def gravity_of(base: Array) -> Vector3:
-    """Gravity (3,), m/s², in the axes of a base with the rotation `base` (3, 3) in a world whose z axis points up."""
-    return vector(np.round(base.T @ STANDING, _DIGITS) + 0.0)
+def gravity_of(base: Array, gravity: ArrayLike = STANDING) -> Vector3:
+    """Gravity (3,), m/s², in the axes of a base with the rotation `base` (3, 3) in a world that has `gravity` (3,)."""
+    return vector(np.round(base.T @ np.asarray(gravity), _DIGITS) + 0.0)
 
 
 def mounted(angles: Vector3) -> Vector3:

@@ -34,6 +34,7 @@ _WIDE = 0.25
 """Radius of gyration by the arm's reach above which an inertia is hardly real; rods of half the reach have 0.15."""
 _ALIKE = 3
 """So many links, if they are most of all, are hardly alike."""
+_INERTIA = "mass: ..., center: [x, y, z], tensor: [xx, yy, zz, xy, xz, yz]"
 _BLOCKS = {
     "limits": ("rad, rad/s, Nm", f"lower < upper, a velocity above 0 and an effort of at least {LEAST_EFFORT:g} Nm"),
     "inertias": ("kg, m, kg m²", "masses above 0 and moments of inertia of which none exceeds the sum of the others"),
@@ -78,13 +79,24 @@ class Faults:
             raise SettingsError("\n".join([f"{self.file}: {wrong}. Expected {', '.join(expected)}: {mend}", *lines]))
 
 
+def is_body(faults: Faults, link: str, own: pin.Inertia) -> bool:
+    """Whether the inertia of one link may be summed with others, in which it would vanish; if not, that is noted."""
+    moments = np.linalg.eigvalsh(own.inertia)
+    rounding = _ROUNDING * np.abs(moments).max()
+    if own.mass < 0.0:
+        faults.inertia(link, f"mass {own.mass:g} kg", _INERTIA)
+    elif moments[0] < -rounding:
+        faults.inertia(link, _excess(own), _INERTIA)
+    return own.mass >= 0.0 and bool(moments[0] >= -rounding)
+
+
 def check_inertia(faults: Faults, link: str, lumped: pin.Inertia, own: Mapping[str, pin.Inertia]) -> None:
     """Note that a link has no mass, or moments of inertia that no body has: `lumped`, with all that is fixed to it.
 
     `own`: inertias of the link and of those that are fixed to it, by name, each in its frame in the file.
     """
     if not lumped.mass > 0.0:
-        faults.inertia(link, "no mass", "mass: ..., center: [x, y, z], tensor: [xx, yy, zz, xy, xz, yz]")
+        faults.inertia(link, "no mass", _INERTIA)
     elif _excess(lumped):
         # A sum of inertias that bodies have is one that a body has.
         for name, inertia in own.items():

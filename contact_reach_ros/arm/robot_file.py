@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain
 from pathlib import Path
+from urllib.parse import unquote
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
@@ -17,6 +18,7 @@ DESCRIPTIONS = (".urdf", ".xacro", ".xml")
 """Endings of files that describe robots, in any case."""
 POINTS = "points"
 """Geometry beside that of URDFs: the convex hull of the points in its attribute `at`, m."""
+_FILE_URI = re.compile("^file:(//(localhost)?(?=/))?")
 _PACKAGED = re.compile("(?:package://|.*/share/)([^/]+)/(.+)")
 _PREFIX_PATHS = ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
 
@@ -56,9 +58,12 @@ def _parsed(content: bytes, file: Path) -> Element:
     builder, parser = TreeBuilder(), expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     parser.CharacterDataHandler = builder.data
+    # Nothing is read from other files: expat would leave it out silently.
+    parser.ExternalEntityRefHandler = lambda *_: 0
     try:
         parser.Parse(content, True)
-    except expat.ExpatError as error:
+    # The others are of encodings that Python does not know, or that expat cannot use.
+    except (expat.ExpatError, LookupError, ValueError) as error:
         raise SettingsError(f"{file}: not valid XML: {error}; expected a URDF, xacro or MJCF file") from error
     return builder.close()
 
@@ -126,7 +131,7 @@ def find_mesh(name: str, file: Path, packages: Mapping[str, str]) -> Path | None
     A path with share/ is that of an installed package, which files expanded on another machine have.
     """
     packaged = _PACKAGED.match(name)
-    paths: Iterable[Path] = [file.parent / name.removeprefix("file://")]
+    paths: Iterable[Path] = [file.parent / _FILE_URI.sub("", each) for each in (name, unquote(name))]
     if packaged:
         paths = chain(paths, (folder / packaged[2] for folder in package_folders(packaged[1], file, packages)))
-    return next((path for path in paths if path.is_file()), None)
+    return next((path for path in paths if os.path.isfile(path)), None)

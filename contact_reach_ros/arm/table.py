@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import msgspec
+import numpy as np
 import yaml
 
 from contact_reach_ros.arm import assumptions
 from contact_reach_ros.arm.arm import Arm, Inertia, Vector3
+from contact_reach_ros.arm.kinematics import tensor_matrix
 from contact_reach_ros.arm.mount import mounted
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import unknown_key
@@ -24,8 +27,18 @@ _ROUNDING = 1e-10
 
 MOUNT = "mount"
 _FULL_TURN = 6.3
+_EXCESS = 1e-3
+"""Share of the sum of two principal moments by which the third may exceed it, as numbers in tables are rounded."""
+_MOST = 1e9
+"""Of any number, in units of the SI."""
+_POSTURE = "reference_posture"
+"""The one of `assumptions.defaults` that has angles, of any sign."""
 _WEAK, _STRONG = 0.1, 100.0
 """Bounds of gravity, m/s²."""
+
+MAX_JOINTS = 7
+_MOST_TURNS = 25.0
+"""Angle that limits of an arm's joints never have, rad: four turns, or a number in degrees."""
 
 ARMATURE = 0.01
 """Reflected inertia of motor and gears unless it is given, kg m²."""
@@ -96,10 +109,6 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
             raise SettingsError(f"{source}: has {MOUNT} and gravity, which follows from it; expected one of them")
         content["gravity"] = gravity_in(converted({MOUNT: content.pop(MOUNT)}, ArmOptions, source), source)
     arm = converted({"defaults": {}, **content}, Arm, source)
-    if not _WEAK < math.hypot(*arm.gravity) < _STRONG:
-        raise SettingsError(
-            f"{source}: gravity = {list(arm.gravity)}; expected its acceleration in the base frame, 9.81 m/s² in all"
-        )
     lists: dict[str, Any] = {"link_names": arm.link_names, "home": arm.home}
     lists |= {f"inertia_sets: {name}": values for name, values in arm.inertia_sets.items()}
     lists |= {f"defaults: {name}": values for name, values in arm.defaults.items()}
@@ -110,7 +119,62 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
     for capsule in arm.base_capsules:
         if capsule.link:
             raise SettingsError(f"{source}: base_capsules: link = {capsule.link}; expected 0, the base")
+    check_arm(arm, source)
     return dataclasses.replace(arm, defaults={**assumptions.defaults(arm), **arm.defaults})
+
+
+def check_arm(arm: Arm, source: str) -> None:
+    """Check that an arm can have its numbers, whatever they come from.
+
+    Raises `SettingsError` with all that are wrong; the message begins with `source`.
+    """
+    if wrong := [*_wrong(arm)]:
+        raise SettingsError(f"{source}: {'; '.join(wrong)}")
+
+
+def _wrong(arm: Arm) -> Iterator[str]:
+    if not 2 <= arm.n <= MAX_JOINTS:
+        yield f"{arm.n} joints; expected 2 to {MAX_JOINTS}"
+    if not _WEAK < math.hypot(*arm.gravity) < _STRONG:
+        yield f"gravity = {list(arm.gravity)}; expected its acceleration in the base frame, 9.81 m/s² in all"
+    for key, names in (("joints", arm.joint_names), ("link_names", arm.link_names)):
+        if len({*names, ""}) <= len(names):
+            yield f"{key}: {', '.join(map(repr, names))}; expected names, and none twice"
+    for joint, angle in zip(arm.joints, arm.home, strict=True):
+        if not -_MOST_TURNS <= joint.lower < joint.upper <= _MOST_TURNS:
+            limits = f"lower {joint.lower:g}, upper {joint.upper:g}"
+            yield f"joint '{joint.name}' has {limits}; expected lower < upper, in rad"
+        elif not joint.lower <= angle <= joint.upper:
+            within = f"[{joint.lower:g}, {joint.upper:g}]"
+            yield f"home has {angle:g} rad for joint '{joint.name}'; expected an angle in {within} rad"
+        for key, value in (("velocity_limit", joint.velocity_limit), ("torque_limit", joint.torque_limit)):
+            if not value > 0.0:
+                yield f"joint '{joint.name}' has {key} {value:g}; expected a number above 0"
+        if not joint.armature >= 0.0:
+            yield f"joint '{joint.name}' has armature {joint.armature:g}; expected a number of at least 0, kg m²"
+    for name, rotation in (*((joint.name, joint.rotation) for joint in arm.joints), ("the tip", arm.tip_rotation)):
+        if not any(rotation):
+            yield f"the rotation of {name} is {list(rotation)}; expected a quaternion, as [w, x, y, z]"
+    for link, inertia in itertools.chain(
+        *(zip(arm.link_names, each, strict=True) for each in arm.inertia_sets.values())
+    ):
+        moments = np.linalg.eigvalsh(tensor_matrix(inertia.tensor))
+        if not (inertia.mass > 0.0 and moments[0] > 0.0 and moments[2] <= (1.0 + _EXCESS) * (moments[0] + moments[1])):
+            text = (
+                f"mass {inertia.mass:g} kg and principal moments {', '.join(f'{each:.4g}' for each in moments)} kg m²"
+            )
+            yield f"link '{link}' has {text}; expected all above 0, and none above the sum of the others"
+    for capsule in (*arm.capsules, *arm.base_capsules):
+        if not capsule.radius > 0.0:
+            yield f"a capsule of link {capsule.link} has radius {capsule.radius:g} m; expected a number above 0"
+    if not arm.reach > 0.0:
+        yield f"reach = {arm.reach:g} m; expected a number above 0"
+    known = assumptions.defaults(arm) if arm.reach > 0.0 else arm.defaults
+    for name, values in arm.defaults.items():
+        if name not in known:
+            yield unknown_key(name, list(known), "defaults", "threshold")
+        elif name != _POSTURE and not min(values) >= 0.0:
+            yield f"{name} = {list(values)}; expected numbers of at least 0"
 
 
 def gravity_in(options: ArmOptions, source: str) -> Vector3 | None:
@@ -174,7 +238,7 @@ def converted(content: Mapping[str, Any], kind: type[T], source: str) -> T:
 
 
 def _check_keys(given: Any, taken: Any, source: str) -> None:
-    """Refuse keys, at any depth, that the conversion ignored."""
+    """Refuse keys, at any depth, that the conversion ignored, and numbers that no arm has."""
     if isinstance(given, Mapping):
         for key, value in given.items():
             if key not in taken:
@@ -183,3 +247,5 @@ def _check_keys(given: Any, taken: Any, source: str) -> None:
     elif isinstance(given, list):
         for one, other in zip(given, taken, strict=True):
             _check_keys(one, other, source)
+    elif isinstance(given, float) and not abs(given) <= _MOST:
+        raise SettingsError(f"{source} = {given:g}; expected a finite number")

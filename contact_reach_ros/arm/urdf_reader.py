@@ -22,9 +22,18 @@ from contact_reach_ros.arm.kinematics import frame_about, tensor_matrix, tensor_
 from contact_reach_ros.arm.link_capsules import Part, link_capsules
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.mount import gravity_of, in_words
-from contact_reach_ros.arm.plausibility import LEAST_EFFORT, Faults, check_inertia, check_weight, doubts
+from contact_reach_ros.arm.plausibility import LEAST_EFFORT, Faults, check_inertia, check_weight, doubts, is_body
 from contact_reach_ros.arm.robot_file import DESCRIPTIONS, find_mesh, read_robot_file
-from contact_reach_ros.arm.table import ARMATURE, ArmOptions, arm_of_table, check_lengths, converted, gravity_in
+from contact_reach_ros.arm.table import (
+    ARMATURE,
+    MAX_JOINTS,
+    ArmOptions,
+    arm_of_table,
+    check_arm,
+    check_lengths,
+    converted,
+    gravity_in,
+)
 from contact_reach_ros.arm.urdf_tree import (
     LIMITS,
     RANGE,
@@ -39,9 +48,8 @@ from contact_reach_ros.arm.urdf_tree import (
 )
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.resources import VERSION, kept
-from contact_reach_ros.settings import read_yaml
+from contact_reach_ros.settings import read_yaml, unknown_key
 
-MAX_JOINTS = 7
 _YAML = (".yaml", ".yml")
 _OF_TABLES = "joints"
 """Key that only a table has."""
@@ -98,6 +106,10 @@ class _Reader:
             self._check_names(key, getattr(options, key), tree.joints, "joint")
         for key in ("inertias", "capsules"):
             self._check_names(key, getattr(options, key), tree.links, "link")
+        for joint, given in options.limits.items():
+            for key in given.keys() - set(LIMITS):
+                raise SettingsError(unknown_key(key, LIMITS, f"{file}: limits: {joint}"))
+        self._moving_names: set[str] = set()
 
     def read(self) -> Reading:
         options, tree = self.options, self.tree
@@ -106,6 +118,7 @@ class _Reader:
         tip = options.tip or self._only_tip(base)
         self._check_names("tip", {tip: None}, tree.links, "link")
         moving = self._moving(base, tip)
+        self._moving_names = {joint.name for joint in moving}
         # As the description has it, unless it is given for all joints or each; MJCF has 0 where it says nothing.
         own = [numbers_in(joint.element, "dynamics", ("armature",)).get("armature") or ARMATURE for joint in moving]
         given = own if options.armature is None else options.armature
@@ -139,7 +152,8 @@ class _Reader:
             reach=0.0,
             home=tuple(0.5 * (joint.lower + joint.upper) for joint in joints),
             defaults={},
-            gravity=gravity_in(options, str(self.file)) or gravity_of(parts[0].places[tree.root].rotation.T),
+            gravity=gravity_in(options, str(self.file))
+            or gravity_of(parts[0].places[tree.root].rotation.T, tree.gravity),
         )
         if options.mount is None:
             self.assumed.append(f"mount: {tree.root} stands upright: {in_words(arm)}")
@@ -168,7 +182,9 @@ class _Reader:
         if not options.thresholds:
             self.assumed.append("thresholds: by the joints' torque limits and inertias")
         arm = dataclasses.replace(arm, home=home)
-        return dataclasses.replace(arm, defaults={**assumptions.defaults(arm), **options.thresholds})
+        arm = dataclasses.replace(arm, defaults={**assumptions.defaults(arm), **options.thresholds})
+        check_arm(arm, str(self.file))
+        return arm
 
     def _check_names(self, key: str, given: Mapping[str, object], known: Mapping[str, object], what: str) -> None:
         for name in given:
@@ -270,10 +286,12 @@ class _Reader:
     def _inertia(self, part: Part) -> Inertia:
         """Of a moving link with all that is fixed to it."""
         own = {name: each for name in part.places if (each := self._own_inertia(name)) is not None}
+        bodies = [name for name, each in own.items() if is_body(self.faults, name, each)]
         lumped = pin.Inertia.Zero()
-        for name, each in own.items():
-            lumped += part.places[name].act(each)
-        check_inertia(self.faults, part.link, lumped, own)
+        for name in bodies:
+            lumped += part.places[name].act(own[name])
+        if len(bodies) == len(own):
+            check_inertia(self.faults, part.link, lumped, own)
         return Inertia(float(lumped.mass), vector(lumped.lever), tensor_values(lumped.inertia))
 
     def _own_inertia(self, name: str) -> pin.Inertia | None:
@@ -282,7 +300,7 @@ class _Reader:
         if given is not None:
             return pin.Inertia(given.mass, np.array(given.center), tensor_matrix(given.tensor))
         mass = 0.0 if found is None else numbers_in(found, "mass", ("value",)).get("value", 0.0)
-        if found is None or not mass > 0.0:
+        if found is None or mass == 0.0:
             return None
         tensor = dict.fromkeys(TENSOR, 0.0) | numbers_in(found, "inertia", TENSOR)
         about_center = pin.Inertia(mass, np.zeros(3), tensor_matrix(tuple(tensor[key] for key in TENSOR)))
@@ -300,6 +318,12 @@ class _Reader:
             return position
         if mimicked := joint.mimicked():
             leader, multiplier, offset = mimicked
+            if leader in self._moving_names:
+                raise SettingsError(
+                    f"{self.file}: joint '{joint.name}' follows joint '{leader}', which moves the arm, and is not part "
+                    "of its chain; the package knows no such arms. Where it moves next to nothing, hold it at a "
+                    f"position under fixed ({{{joint.name}: 0.0}})"
+                )
             return multiplier * self._held_position(self.tree.joints[leader]) + offset
         limits = {**joint.limits()[0], **self.options.limits.get(joint.name, {})}
         position = min(max(0.0, limits.get("lower", -math.inf)), limits.get("upper", math.inf))

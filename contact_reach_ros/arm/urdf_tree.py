@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,16 +17,21 @@ from contact_reach_ros.errors import SettingsError
 
 TURNING = ("revolute", "continuous")
 """Types of joints that an arm can have."""
+_KINDS = (*TURNING, "prismatic", "fixed", "floating", "planar")
 RANGE = ("lower", "upper")
 LIMITS = (*RANGE, "velocity", "effort")
 TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-_SIZES = ("radius", "length", "size")
+_SIZES = ("radius", "length", "size", "armature")
+_SHORT = 1e-9
+"""Length of an axis that is a rounding error."""
+_MOST = 1e9
+"""Of all numbers but limits: no arm has larger ones, in units of the SI."""
 _COUNTS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3}
 """Attributes with several numbers."""
 _SOFT = ("soft_lower_limit", "soft_upper_limit")
 _MIMIC = {"multiplier": 1.0, "offset": 0.0}
 _NUMBERS = {*_COUNTS, *LIMITS, *TENSOR, *_SIZES, *_SOFT, *_MIMIC, "value"}
-_READ = ("inertial", "collision", "origin", "axis", "limit", "safety_controller", "mimic")
+_READ = ("inertial", "collision", "origin", "axis", "limit", "safety_controller", "mimic", "dynamics")
 """Elements of links and joints that an arm is made of."""
 _ENDLESS = {"lower": 1e3, "upper": 1e3, "velocity": 1e3, "effort": 1e5}
 """Limits from here on, rad, rad/s, N m, stand for none: exporters write 1e16."""
@@ -86,6 +90,8 @@ class UrdfTree:
     """Links and joints by name."""
 
     name: str
+    gravity: Array
+    """(3,), m/s², in the frame of the root."""
     links: Mapping[str, Element]
     joints: Mapping[str, UrdfJoint]
     above: Mapping[str, UrdfJoint]
@@ -165,7 +171,8 @@ def tree_of(robot: Element, file: Path) -> UrdfTree:
     if len(roots) != 1:
         found = ", ".join(f"'{name}'" for name in roots) or "none: the joints form a closed loop"
         raise SettingsError(f"{file}: links that no joint moves: {found}; expected one, the root of a tree")
-    return UrdfTree(robot.get("name", file.stem), links, joints, above)
+    # URDFs have none; it comes from an MJCF.
+    return UrdfTree(robot.get("name", file.stem), vector_in(robot, "gravity", "0 0 -9.81"), links, joints, above)
 
 
 def _by_name(robot: Element, tag: str, file: Path) -> dict[str, Element]:
@@ -185,7 +192,9 @@ def _joint(element: Element, where: str) -> UrdfJoint:
     if len(ends) != 2:
         raise SettingsError(f"{where}: expected <parent link=...> and <child link=...>")
     axis, kind = vector_in(element.find("axis"), "xyz", "1 0 0"), element.get("type", "")
-    if kind != "fixed" and not axis.any():
+    if kind not in _KINDS:
+        raise SettingsError(f"{where}: type = '{kind}'; expected one of {', '.join(_KINDS)}")
+    if kind != "fixed" and not np.linalg.norm(axis) > _SHORT:
         raise SettingsError(f"{where}: axis = {axis.tolist()}; expected a vector that is not zero")
     return UrdfJoint(element.get("name", ""), kind, ends[0], ends[1], element)
 
@@ -196,14 +205,16 @@ def check_numbers(element: Element, where: str) -> None:
     Raises `SettingsError`; the message begins with `where`.
     """
     for part in (each for tag in _READ for found in element.findall(tag) for each in found.iter()):
+        if part.tag == "mass" and "value" not in part.attrib:
+            raise SettingsError(f"{where}: mass has no value; expected <mass value=.../>, kg")
         for key in filter(_NUMBERS.__contains__, part.attrib):
             try:
-                values = [float(word) for word in part.get(key, "").split()]
+                values = [] if "_" in part.get(key, "") else [float(word) for word in part.get(key, "").split()]
             except ValueError:
                 values = []
             count = _COUNTS.get(key, 1)
             # Limits may have no end.
-            least, most = 0.0 if key in _SIZES else -math.inf, math.inf if key in LIMITS else sys.float_info.max
+            least, most = 0.0 if key in _SIZES else -math.inf, math.inf if key in LIMITS else _MOST
             expected = f"{count} finite number{'s' * (count > 1)}" + " of at least 0" * (key in _SIZES)
             if len(values) != count or not all(least <= value and abs(value) <= most for value in values):
                 raise SettingsError(f"{where}: {part.tag} {key} = '{part.get(key)}'; expected {expected}")

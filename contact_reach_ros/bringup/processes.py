@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.tool import NO_TOOL, Tool
 from contact_reach_ros.arms import TOOL, TOOL_PARAMETERS, arm_in, known_parameters, load_arm, make_settings
@@ -77,10 +75,7 @@ def _overrides(texts: Sequence[str], arm: Arm) -> dict[str, dict[str, ParameterV
             raise SettingsError(
                 f"override '{text}': expected node:parameter=value with one of {', '.join(_TUNABLE)} as the node"
             )
-        try:
-            value = parse_yaml(written)
-        except yaml.YAMLError as error:
-            raise SettingsError(f"override '{text}': its value is no YAML: {error}") from error
+        value = parse_yaml(written, f"override '{text}'")
         check_values({name: value}, known_parameters(SECTIONS[node], arm), f"override '{text}'")
         found[node][name] = value
     return found

@@ -149,7 +149,8 @@ def _given(arguments: Sequence[str], node_name: str, owners: Collection[str]) ->
                 raise SettingsError(f"argument {option} {argument}: expected NAME:=VALUE")
             check_node_name(owner or node_name, f"argument {option} {argument}")
             if owner in owners:
-                yield f"argument {option} {argument}", {name: parse_yaml(text)}
+                where = f"argument {option} {argument}"
+                yield where, {name: parse_yaml(text, where)}
 
 
 def _alike(value: Any) -> Any:

@@ -173,7 +173,7 @@ def test_a_turn_about_the_vertical_changes_nothing(tmp_path):
     ("changes", "expected"),
     [
         ({"mount": [180.0, 0.0, 0.0]}, r"table: mount = \[180.0, 0.0, 0.0\]; expected roll, pitch and yaw .* in rad"),
-        ({"mount": [0.0, math.nan, 0.0]}, "table: mount = .*; expected roll"),
+        ({"mount": [0.0, math.nan, 0.0]}, "table: mount = nan; expected a finite number"),
         ({"mount": [0.0, 0.0]}, "table: .* length 3, got 2 - at `mount`"),
         ({"mount": [0.0, 0.0, 0.0], "gravity": [0.0, 0.0, 9.81]}, "has mount and gravity.*; expected one of them"),
         ({"gravity": [0.0, 0.0, 0.0]}, r"gravity = \[0.0, 0.0, 0.0\]; expected its acceleration"),
