@@ -80,6 +80,8 @@ SPEED_TOLERANCE = 1.3
 """Speed of a point of the arm that stops it, as a share of the permitted one."""
 SPEED_DEBOUNCE = 3
 """Time above a permitted speed that counts, ms: a single wrong state stops nothing."""
+GROWTH = 0.2
+"""Speed by which a joint may get faster in a stop, as when a person pushes the arm, rad/s."""
 REST_TIME = 0.3
 """Time at rest after which a stop ends in the drive's brakes, s: a rebound is over by then."""
 STOP_TIME = 1.0
@@ -117,6 +119,9 @@ class Supervisor:
         )
         self._reason = self._sequel = ""
         self._fast_joint, self._fast_point = (Debounce(SPEED_DEBOUNCE, period) for _ in range(2))
+        self._faster = Debounce(SPEED_DEBOUNCE, period)
+        self._stopped_at = 0.0
+        """Speed of the fastest joint when the stop began, rad/s."""
         self._since_ns: list[int] = []
         """When the stop or giving way began, and since when the arm has been at rest in a stop, if it is."""
         self._verdicts: dict[str, Verdict] = {}
@@ -171,7 +176,12 @@ class Supervisor:
         if self.mode is not Mode.STOPPED:
             return
         speed = float(np.abs(v).max())
-        self._since_ns = self._since_ns or [clock_ns]
+        if not self._since_ns:
+            self._since_ns, self._stopped_at = [clock_ns], speed
+        # A stop takes energy out: where it does not, states or commands are so late that it drives the arm.
+        if self._faster.lasts(speed > self._stopped_at + GROWTH) and self._can_end:
+            joint = self._arm.joint_names[int(np.abs(v).argmax())]
+            self._give_up(f"{joint} gets faster in the stop, {speed:.2f} rad/s")
         if speed > REST_SPEED:
             self._since_ns = self._since_ns[:1]
         elif len(self._since_ns) == 1:
@@ -179,12 +189,19 @@ class Supervisor:
         began_ns, *rested = self._since_ns
         is_late = clock_ns - began_ns >= STOP_TIME * NANOSECONDS
         has_brakes = self._settings.drive_brakes
+        if self.mode is not Mode.STOPPED:
+            return
         if rested:
             if has_brakes and (is_late or clock_ns - rested[0] >= REST_TIME * NANOSECONDS):
                 self.happens(Event.RESTED)
-        elif is_late and (has_brakes or self._settings.adapter):
+        elif is_late and self._can_end:
             joint = self._arm.joint_names[int(np.abs(v).argmax())]
             self._give_up(f"{joint} still moves with {speed:.2f} rad/s {STOP_TIME:g} s after the stop")
+
+    @property
+    def _can_end(self) -> bool:
+        """Whether a drive to which nothing is commanded ends the motion."""
+        return self._settings.drive_brakes or self._settings.adapter
 
     def watch_contact(self, clock_ns: int) -> None:
         """Give way to a contact that no plan explains, or one that is too strong; stop if it does not end."""
@@ -240,7 +257,8 @@ class Supervisor:
             self.stop(StopReason(StopCode.BLIND, text))
         if verdict.distrust:
             self.stop(verdict.distrust)
-            self._give_up("" if verdict.distrust == self._reason else verdict.distrust)
+            if self._can_end:
+                self._give_up("" if verdict.distrust == self._reason else verdict.distrust)
 
     def not_vouched(self, clock_ns: int) -> str:
         """Why the arm must not be started: nobody watches it, or not as it should be; empty when it may."""

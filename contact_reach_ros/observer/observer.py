@@ -10,15 +10,15 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.errors import InputError, Verdict
+from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.location import Contact, ContactLocator
 from contact_reach_ros.observer.momentum import MomentumObserver
-from contact_reach_ros.observer.plausibility import PlausibilityCheck, TorqueCheck
+from contact_reach_ros.observer.plausibility import FROZEN_TIME, PlausibilityCheck, TorqueCheck
 from contact_reach_ros.observer.safety import SafetyLevel, SafetyMonitor
 from contact_reach_ros.observer.settings import ObserverSettings
-from contact_reach_ros.observer.sight import Sight
-from contact_reach_ros.timing import NANOSECONDS, Debounce, StampOrder
+from contact_reach_ros.observer.sight import PERIODS, Sight
+from contact_reach_ros.timing import NANOSECONDS, Debounce, StampOrder, states_in
 
 HEARTBEAT = 0.01
 """Longest time between reports that must be passed on, s."""
@@ -68,9 +68,10 @@ def describe_contact(contact: Contact | None) -> str:
     return f"{contact.strength:.0f} N at {contact.link}"
 
 
-_REPEATED = (
-    "joint_states repeat positions, velocities and efforts to the last bit, with new stamps: the driver has lost the "
-    "robot"
+_REPEATED = StopReason(
+    StopCode.BLIND,
+    "blind: joint_states repeat positions, velocities and efforts to the last bit, with new stamps: the driver has "
+    "lost the robot, or its sensors are too coarse",
 )
 
 
@@ -128,6 +129,8 @@ class Observer:
         self._locates = locates
         self._content = b""
         """Positions, velocities and torques of the last state."""
+        self._repeats, self._most_repeats = 0, max(PERIODS, states_in(FROZEN_TIME, period))
+        """States that were the same as the last one, to the last bit."""
         self._permitted = budget.permitted_force + EXCESS_FORCE
         self._heartbeat_every = max(1, round(HEARTBEAT / period))
         self._excess = Debounce(EXCESS_TIME, period * self._heartbeat_every)
@@ -149,17 +152,19 @@ class Observer:
             return self._conclude(stamp_ns, is_heartbeat=True) if self.sight.repeated() else None
         torque, missing = self._known_torque(state.torque, stamp_ns)
         content = q.tobytes() + v.tobytes() + (b"" if torque is None else torque.tobytes())
-        is_repeated, self._content = torque is not None and content == self._content, content
+        self._repeats = self._repeats + 1 if torque is not None and content == self._content else 0
+        self._content = content
         momentum, monitor = self.momentum, self.monitor
         if missing:
             # The next state is compared with the last good one: this is no hand-over.
             momentum.refused += 1
         else:
             momentum.update(q, v, torque, stamp_ns)
-        seen = momentum.updated_ns == stamp_ns and not is_repeated
-        self.sight.advanced(stamp_ns, v, seen, missing or is_repeated * _REPEATED, torque is not None)
+        self.sight.advanced(stamp_ns, v, momentum.updated_ns == stamp_ns, missing, torque is not None)
         monitor.update(momentum.residual, q, v, momentum.known_for)
         wrong = self._plausibility.update(q, v, monitor.sudden, stamp_ns)
+        if self._repeats >= self._most_repeats:
+            wrong = _REPEATED
         if wrong:
             monitor.stop_distrusting(wrong)
         stuck = self._torque_check.update(v, torque)

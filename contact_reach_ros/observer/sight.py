@@ -10,7 +10,7 @@ from contact_reach_ros.timing import NANOSECONDS, PAUSE
 
 STILL = 20
 """So many states whose stamp is not new mean that the stamps have stopped."""
-_PERIODS = 4
+PERIODS = 4
 """Least number of periods without a usable state that count as blindness."""
 
 
@@ -83,12 +83,12 @@ class Sight:
         self.doubt = "no joint state with a torque yet"
         self.rate = RateCheck(period)
         self._names = arm.joint_names
-        self._limit_ns = round(max(blind_after, _PERIODS * period) * NANOSECONDS)
+        self._limit_ns = round(max(blind_after, PERIODS * period) * NANOSECONDS)
         self._seen_ns: int | None = None
         """Stamp of the last usable state."""
         self._torque_ns: int | None = None
         """Stamp of the last state that a torque followed from."""
-        self._lapse_ns = round(max(BLIND_AFTER, _PERIODS * period) * NANOSECONDS)
+        self._lapse_ns = round(max(BLIND_AFTER, PERIODS * period) * NANOSECONDS)
         self._stamp_ns = 0
         """Stamp of the last new state."""
         self._repeated = 0
