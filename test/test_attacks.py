@@ -1,6 +1,8 @@
 """Attacks on the whole stack in simulation: what a person feels whom it does not know of."""
 
 import dataclasses
+import itertools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from attack_rig import ABDOMEN, ARM, CHEST, HAND, Ahead, Rig
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import JointState
+from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
 from contact_reach_ros.errors import StopCode
 from contact_reach_ros.observer.observer import EXCESS_FORCE
 from contact_reach_ros.world.spheres import Spheres
@@ -252,3 +255,81 @@ class TestCaps:
             speeds.append(np.linalg.norm(rig.plant.tip_position - before) / 0.001)
             before = rig.plant.tip_position
         assert 0.05 < max(speeds) <= 1.3 * 0.25
+
+
+class TestStatesThatLie:
+    """What the driver says of an arm that moves, or is pushed, is not what happens."""
+
+    @staticmethod
+    def rig(change: Callable[[JointState, float], JointState | None], **others: object) -> Rig:
+        """A stack whose joint states go through `change`, with the time since the hand-over, s, from then on."""
+        rig = Rig(reaction="give way", **others)
+        rig.run(1.2)
+        read = rig.robot.read
+
+        def changed() -> list[JointState]:
+            states = (change(state, rig.plant.time - 1.2) for state in read())
+            return [state for state in states if state is not None]
+
+        rig.robot.read = changed
+        return rig
+
+    def test_a_driver_that_repeats_its_last_state_moves_nothing(self):
+        kept: list[JointState] = []
+
+        def repeated(state: JointState, _: float) -> JointState:
+            kept.append(state)
+            return state._replace(q=kept[0].q, v=kept[0].v, torque=kept[0].torque)
+
+        rig, begin = self.rig(repeated), []
+        begin.append(rig.place(TIP, HAND_POINT))
+        rig.add_body(TIP, HAND_POINT, UP, 0.02, HAND)
+        rig.go(0.25 * DOWN)
+        rig.run(2.0)
+        assert "repeat positions" in rig.reason and rig.mode == "silent" and rig.stack.robot.stop_reason
+        assert np.linalg.norm(rig.place(TIP, HAND_POINT) - begin[0]) < 0.01 and max(rig.forces) == 0.0
+
+    @pytest.mark.parametrize("every", [2, slowly(5), slowly(200)])
+    def test_contact_is_felt_although_efforts_are_missing_at_times(self, every):
+        count = itertools.count()
+
+        def lacking(state: JointState, _: float) -> JointState:
+            return state if next(count) % every else state._replace(torque=np.full(ARM.n, np.nan))
+
+        rig = self.rig(lacking)
+        rig.add_body(TIP, HAND_POINT, UP, 0.03, 2e3)
+        rig.go(0.25 * DOWN)
+        rig.run(4.0)
+        assert 5.0 < max(rig.forces) < 2.0 * PERMITTED and rig.force < 0.5 * PERMITTED
+
+    def test_an_arm_whose_torques_get_lost_is_stopped_also_at_rest(self):
+        rig = self.rig(lambda state, _: state._replace(torque=np.full(ARM.n, np.nan)))
+        assert rig.run(0.15, until=lambda: rig.reason) and "acting torque is not known any more" in rig.reason
+
+    def test_a_stop_with_late_states_hardly_drives_the_arm(self):
+        """By 40 ms, where damping pushes."""
+        waiting: list[JointState] = []
+
+        def late(state: JointState, _: float) -> JointState | None:
+            waiting.append(state)
+            return waiting.pop(0) if len(waiting) > 40 else None
+
+        rig = self.rig(late)
+        rig.run(0.3)
+        rig.stack.stop("test")
+        fastest = 0.0
+        for _ in range(1000):
+            rig.step()
+            fastest = max(fastest, rig.rest())
+        assert rig.stack.robot.stop_reason and fastest < 0.5
+
+    def test_an_arm_without_brakes_is_held_although_an_encoder_lies(self):
+        supervision = SupervisionSettings(drive_brakes=False)
+
+        def jumped(state: JointState, since: float) -> JointState:
+            return state if since < 0.1 else state._replace(q=state.q + 0.03 * (np.arange(ARM.n) == ARM.n - 1))
+
+        rig = self.rig(jumped, controller=ControllerSettings(supervision=supervision))
+        rig.go(0.25 * DOWN)
+        rig.run(2.0)
+        assert "lbr_A7" in rig.reason and rig.mode == "stopped" and rig.rest() < 0.02
