@@ -62,6 +62,35 @@ def test_what_is_wrong_is_named(written, nodes, message):
         check_parameters(written(**nodes), STACK)
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("observer:\n  ros__parameters:\n  momentum:\n    gain: 40.0\n", "momentum beside ros__parameters"),
+        ("observer: {ros__parameters: {momentum.gain: 6.0, momentum: {gain: 4.0}}}", "'momentum.gain' is there twice"),
+        ("observer: {ros__parameters: false}", "observer.ros__parameters is not a mapping"),
+        ("observer: {ros__parameters: {momentum: {gain: 1:30}}}", "momentum.gain = '1:30': expected a number"),
+        ("observer: {ros__parameters: {momentum: {gain: 4_0.0}}}", "momentum.gain = '4_0.0': expected a number"),
+        ("observer: {ros__parameters: {momentum: {gain: 2024-02-31}}}", "'2024-02-31': expected a number"),
+        ("observer: {ros__parameters: {momentum: {gain: !!int foo}}}", "not valid YAML: invalid literal"),
+        ("observer: {ros__parameters: &a {momentum: *a}}", "not valid YAML: .*recursion"),
+        ("[" * 3000, "not valid YAML"),
+        ("a: &a {b: 1, c: 2}\n" + "".join(f"x{i}: &{n} {{p: *{o}, q: *{o}}}\n" for i, (o, n) in
+         enumerate(zip("abcdefghijklmnopqrst", "bcdefghijklmnopqrstu", strict=True))), "more than 100,000 values"),
+    ],
+)  # fmt: skip
+def test_what_no_node_can_read_is_refused_before_anything_starts(tmp_path, text, message):
+    file = tmp_path / "own.yaml"
+    file.write_text(text)
+    with pytest.raises(SettingsError, match=message):
+        check_parameters(file, STACK)
+
+
+def test_numbers_are_read_as_ros_reads_them(tmp_path):
+    file = tmp_path / "own.yaml"
+    file.write_text("observer: {ros__parameters: {momentum: {gain: 4.0e1}, safety: }}")
+    assert parameters_in(file, "observer")["momentum.gain"] == 40.0
+
+
 def test_what_is_given_on_top_of_the_file_counts(written):
     file = written()
     rate = {name: {"state_rate": 500.0} for name in STACK}

@@ -109,6 +109,7 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
             raise SettingsError(f"{source}: has {MOUNT} and gravity, which follows from it; expected one of them")
         content["gravity"] = gravity_in(converted({MOUNT: content.pop(MOUNT)}, ArmOptions, source), source)
     arm = converted({"defaults": {}, **content}, Arm, source)
+    check_gravity(arm.gravity, source)
     lists: dict[str, Any] = {"link_names": arm.link_names, "home": arm.home}
     lists |= {f"inertia_sets: {name}": values for name, values in arm.inertia_sets.items()}
     lists |= {f"defaults: {name}": values for name, values in arm.defaults.items()}
@@ -135,8 +136,6 @@ def check_arm(arm: Arm, source: str) -> None:
 def _wrong(arm: Arm) -> Iterator[str]:
     if not 2 <= arm.n <= MAX_JOINTS:
         yield f"{arm.n} joints; expected 2 to {MAX_JOINTS}"
-    if not _WEAK < math.hypot(*arm.gravity) < _STRONG:
-        yield f"gravity = {list(arm.gravity)}; expected its acceleration in the base frame, 9.81 m/s² in all"
     for key, names in (("joints", arm.joint_names), ("link_names", arm.link_names)):
         if len({*names, ""}) <= len(names):
             yield f"{key}: {', '.join(map(repr, names))}; expected names, and none twice"
@@ -175,6 +174,14 @@ def _wrong(arm: Arm) -> Iterator[str]:
             yield unknown_key(name, list(known), "defaults", "threshold")
         elif name != _POSTURE and not min(values) >= 0.0:
             yield f"{name} = {list(values)}; expected numbers of at least 0"
+
+
+def check_gravity(gravity: Vector3, source: str) -> None:
+    """Raise `SettingsError`, beginning with `source`, if no arm stands in this gravity, m/s²."""
+    if not _WEAK < math.hypot(*gravity) < _STRONG:
+        raise SettingsError(
+            f"{source}: gravity = {list(gravity)}; expected its acceleration in the base frame, 9.81 m/s² in all"
+        )
 
 
 def gravity_in(options: ArmOptions, source: str) -> Vector3 | None:

@@ -30,6 +30,7 @@ from contact_reach_ros.arm.table import (
     ArmOptions,
     arm_of_table,
     check_arm,
+    check_gravity,
     check_lengths,
     converted,
     gravity_in,
@@ -133,6 +134,9 @@ class _Reader:
             inertias.append(self._inertia(part))
         self.faults.check()
         tip_place = parts[-1].places[tip]
+        at_root = parts[0].places[tree.root].rotation
+        gravity = gravity_in(options, str(self.file)) or gravity_of(at_root.T, tree.gravity)
+        check_gravity(gravity, str(self.file))
         self._show_visuals(parts)
         found = link_capsules(tree.links, self.file, options, parts)
         self.assumed += [f"capsules: none on {link}, which has no collision geometry" for link in found.bare]
@@ -152,8 +156,7 @@ class _Reader:
             reach=0.0,
             home=tuple(0.5 * (joint.lower + joint.upper) for joint in joints),
             defaults={},
-            gravity=gravity_in(options, str(self.file))
-            or gravity_of(parts[0].places[tree.root].rotation.T, tree.gravity),
+            gravity=gravity,
         )
         if options.mount is None:
             self.assumed.append(f"mount: {tree.root} stands upright: {in_words(arm)}")

@@ -15,6 +15,7 @@ import yaml
 
 from contact_reach_ros.arm.capsules import shape_segments, shapes
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.robot_file import read_robot_file
 from contact_reach_ros.arm.table import ArmOptions
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.arm.urdf_reader import Reading, read_arm, read_arm_file
@@ -473,6 +474,27 @@ def test_an_mjcf_whose_geometry_touches_nothing_has_capsules_of_it(tmp_path):
     assert {each.link for each in arm.capsules} >= {2, 3, 4}
     # Geometry that counts for nothing else still has its mass.
     assert arm.inertias() == pytest.approx(read(tmp_path, MJCF, name="other.xml").arm.inertias())
+
+
+def test_an_mjcf_keeps_its_gravity_and_equal_joints_and_names_other_equalities(tmp_path):
+    joints = (
+        '<joint joint1="q4" joint2="q3" polycoef="0.1 2 0 0 0"/><joint name="bent" joint1="q4" polycoef="0 0 1 0 0"/>'
+    )
+    file = tmp_path / "equal.xml"
+    file.write_text(MJCF.replace("</mujoco>", f"<equality>{joints}</equality></mujoco>"))
+    robot, assumed = read_robot_file(file, ArmOptions())
+    follower = next(each for each in robot.iter("joint") if each.get("name") == "q4")
+    assert follower.find("mimic").get("joint") == "q3" and follower.find("mimic").get("multiplier") == "2.0"
+    assert any("constraint bent (joint) is left out" in line for line in assumed)
+
+    def of_gravity(*values):
+        option = f'<option gravity="{" ".join(map(str, values))}"/><worldbody>'
+        return read(tmp_path, MJCF.replace("<worldbody>", option, 1), name="arm.xml").arm.gravity
+
+    assert np.linalg.norm(of_gravity(0.0, -9.0, 1.0)) == pytest.approx(np.hypot(9.0, 1.0))
+    assert of_gravity(0.0, 0.0, -1.62)[2] != pytest.approx(-9.81)
+    with pytest.raises(SettingsError, match=r"gravity = .*; expected its acceleration"):
+        of_gravity(0.0, 0.0, 0.0)
 
 
 def test_an_mjcf_that_mujoco_refuses_is_refused_with_its_words(tmp_path):

@@ -240,6 +240,8 @@ LOST = '<mesh filename="package://x/lost.stl"/>'
             {"tool_mount": joint("tool_mount", "part_7", "tool"), "tool": link("tool")},
             "8 joints .* 2 to 7: .*under fixed",
         ),
+        ({"joint_3": joint("joint_3", "part_2", "part_3", kind="hinge")}, "type = 'hinge'; expected one of revolute"),
+        ({"part_2": link("part_2", extra=ball()).replace('<mass value="', '<mass value="-')}, "'part_2' has mass -"),
         ({"stand": link("stand").replace("0.03", "O.03")}, "'stand': inertia iyy = 'O.03'; expected 1 finite number"),
         (
             {"part_2": link("part_2", extra=ball()).replace('"0.02"', '"1.02"')},
@@ -261,6 +263,11 @@ def test_what_is_no_arm_is_refused_with_name_and_key(changed, expected, tmp_path
         ({"fixed": {"joint_9": 0.0}}, "fixed: joint 'joint_9' does not exist; known: "),
         ({"home": (2.0, *(0.0,) * 6)}, "home has 2 rad for joint 'joint_1'; expected"),
         ({"armature": (0.1,)}, "armature has 1 values; expected 7"),
+        ({"armature": -0.1}, "'joint_1' has armature -0.1; expected a number of at least 0"),
+        ({"reach": 0.0}, "reach = 0 m; expected a number above 0"),
+        ({"limits": {"joint_1": {"lowr": -1.0}}}, "limits: joint_1: unknown key 'lowr'; did you mean 'lower'"),
+        ({"limits": {"joint_1": {"lower": -170.0}}}, "'joint_1' has lower -170, .*; expected lower < upper, in rad"),
+        ({"thresholds": {"torque_threshold": (1.0,) * 7}}, "'torque_threshold'; did you mean 'torque_thresholds'"),
         ({"base": "nosuch"}, "base: link 'nosuch' does not exist; known: world, stand"),
         ({"tip": "nosuch"}, "tip: link 'nosuch' does not exist; known: world, stand"),
         ({"base": "tool", "tip": "stand"}, "tip 'stand' is not below base 'tool'"),
@@ -374,6 +381,7 @@ def test_capsules_can_be_given_in_the_frames_of_the_urdf(tmp_path):
     ("text", "expected"),
     [
         ("tipp: tool\n", "unknown key 'tipp'; did you mean 'tip'"),
+        ("fixed: {joint_1: .nan}\n", "fixed: joint_1 = nan; expected a finite number"),
         ("inertias: {part_1: {mass: 1, centre: [0, 0, 0], tensor: [1, 1, 1, 0, 0, 0]}}\n", "center"),
     ],
 )
@@ -388,6 +396,9 @@ def test_options_that_are_wrong_are_refused(text, expected, tmp_path):
     ("change", "expected"),
     [
         ({"joint": []}, "unknown key 'joint'; did you mean 'joints'"),
+        ({"reach": -1.0}, "reach = -1 m; expected a number above 0"),
+        ({"tip_rotation": [0.0] * 4}, "the rotation of the tip is .*; expected a quaternion"),
+        ({"home": [9.0] * 7}, "home has 9 rad for joint 'joint_1'; expected an angle in"),
         ({"defaults": {"torque_thresholds": [1.0]}}, "defaults: torque_thresholds has 1 values; expected 7"),
         ({"capsules": [{"link": 8, "start": [0, 0, 0], "end": [0, 0, 1], "radius": 1}]}, "link = 8; expected a number"),
     ],
