@@ -127,6 +127,7 @@ class Observer:
         self._torque_check = TorqueCheck(arm, period)
         self._locator = ContactLocator(model, budget.contact_thresholds)
         self._locates = locates
+        self._torque_known = False
         self._content = b""
         """Positions, velocities and torques of the last state."""
         self._repeats, self._most_repeats = 0, max(PERIODS, states_in(FROZEN_TIME, period))
@@ -160,6 +161,8 @@ class Observer:
             momentum.refused += 1
         else:
             momentum.update(q, v, torque, stamp_ns)
+            # Not after a pause, which is no reason to doubt the drive.
+            self._torque_known = torque is not None and (self._torque_known or momentum.known_for > 0.0)
         self.sight.advanced(stamp_ns, v, momentum.updated_ns == stamp_ns, missing, torque is not None)
         monitor.update(momentum.residual, q, v, momentum.known_for)
         wrong = self._plausibility.update(q, v, monitor.sudden, stamp_ns)
@@ -189,7 +192,7 @@ class Observer:
             reason,
             monitor.distrust,
             reason or sight.doubt,
-            momentum.known_for > 0.0,
+            self._torque_known,
             describe_contact(contact),
             contact is not None and contact.is_excessive,
         )
