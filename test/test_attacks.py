@@ -304,7 +304,7 @@ class TestStatesThatLie:
 
     def test_an_arm_whose_torques_get_lost_is_stopped_also_at_rest(self):
         rig = self.rig(lambda state, _: state._replace(torque=np.full(ARM.n, np.nan)))
-        assert rig.run(0.15, until=lambda: rig.reason) and "acting torque is not known any more" in rig.reason
+        assert rig.run(0.25, until=lambda: rig.reason) and "acting torque is not known any more" in rig.reason
 
     def test_a_stop_with_late_states_hardly_drives_the_arm(self):
         """By 40 ms, where damping pushes."""

@@ -86,6 +86,8 @@ REST_TIME = 0.3
 """Time at rest after which a stop ends in the drive's brakes, s: a rebound is over by then."""
 STOP_TIME = 1.0
 """Time after the stop at which it ends in any case, s."""
+LOST_TIME = 0.15
+"""Time for which the acting torque may be unknown while the arm is held, s: brakes open in less."""
 YIELD_TIME = 0.5
 """Time for which the arm gives way to a contact, s: if it has not ended then, the arm is stopped."""
 OBSERVER, OWN_WATCH = "observer", "controller's own watch"
@@ -124,6 +126,8 @@ class Supervisor:
         """Speed of the fastest joint when the stop began, rad/s."""
         self._since_ns: list[int] = []
         """When the stop or giving way began, and since when the arm has been at rest in a stop, if it is."""
+        self._lost_ns: dict[str, int] = {}
+        """When the acting torque was lost that was known before, by who says it."""
         self._verdicts: dict[str, Verdict] = {}
         """The last ones, by who gave them."""
         self._heard_ns: int | None = None
@@ -244,7 +248,11 @@ class Supervisor:
 
         That of the observer is also its heartbeat. `clock_ns`: time of its arrival on the watchdogs' clock.
         """
-        was_known = name in self._verdicts and self._verdicts[name].torque_known
+        is_held = self.mode in (Mode.HOLDING, Mode.TRACKING, Mode.YIELDING)
+        if verdict.torque_known or not is_held:
+            self._lost_ns.pop(name, None)
+        elif name in self._verdicts and self._verdicts[name].torque_known:
+            self._lost_ns[name] = clock_ns
         self._verdicts[name] = verdict
         if name == OBSERVER:
             self._heard_ns = clock_ns
@@ -252,7 +260,7 @@ class Supervisor:
             return
         if verdict.reason:
             self.stop(verdict.reason)
-        if was_known and not verdict.torque_known:
+        if clock_ns - self._lost_ns.get(name, clock_ns) >= LOST_TIME * NANOSECONDS:
             text = "the acting torque is not known any more: the drive has closed its brakes, or its sensors failed"
             self.stop(StopReason(StopCode.BLIND, text))
         if verdict.distrust:
