@@ -129,7 +129,8 @@ def check_arm(arm: Arm, source: str) -> None:
 
     Raises `SettingsError` with all that are wrong; the message begins with `source`.
     """
-    if wrong := [*_wrong(arm)]:
+    # The thresholds that there are follow from the other numbers.
+    if wrong := [*_wrong(arm)] or [*_wrong_thresholds(arm)]:
         raise SettingsError(f"{source}: {'; '.join(wrong)}")
 
 
@@ -168,7 +169,10 @@ def _wrong(arm: Arm) -> Iterator[str]:
             yield f"a capsule of link {capsule.link} has radius {capsule.radius:g} m; expected a number above 0"
     if not arm.reach > 0.0:
         yield f"reach = {arm.reach:g} m; expected a number above 0"
-    known = assumptions.defaults(arm) if arm.reach > 0.0 else arm.defaults
+
+
+def _wrong_thresholds(arm: Arm) -> Iterator[str]:
+    known = assumptions.defaults(arm)
     for name, values in arm.defaults.items():
         if name not in known:
             yield unknown_key(name, list(known), "defaults", "threshold")

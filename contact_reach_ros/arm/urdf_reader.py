@@ -176,12 +176,6 @@ class _Reader:
         if options.home is None:
             self.assumed.append("home: a posture in front of the arm, far from singularities")
         home = assumptions.home(arm) if options.home is None else options.home
-        for joint, angle in zip(arm.joints, home, strict=True):
-            if not joint.lower <= angle <= joint.upper:
-                raise SettingsError(
-                    f"{self.file}: home has {angle:g} rad for joint '{joint.name}'; expected an angle in "
-                    f"[{joint.lower:g}, {joint.upper:g}] rad"
-                )
         if not options.thresholds:
             self.assumed.append("thresholds: by the joints' torque limits and inertias")
         arm = dataclasses.replace(arm, home=home)

@@ -128,6 +128,7 @@ class Observer:
         self._locator = ContactLocator(model, budget.contact_thresholds)
         self._locates = locates
         self._torque_known = False
+        """Whether the last states came with torques, after the first of them."""
         self._content = b""
         """Positions, velocities and torques of the last state."""
         self._repeats, self._most_repeats = 0, max(PERIODS, states_in(FROZEN_TIME, period))
