@@ -13,6 +13,8 @@ from contact_reach_ros.arm import JointState
 from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
 from contact_reach_ros.errors import StopCode
 from contact_reach_ros.observer.observer import EXCESS_FORCE
+from contact_reach_ros.world.goal import Goal
+from contact_reach_ros.world.scene import NO_MISMATCH
 from contact_reach_ros.world.spheres import Spheres
 
 PERMITTED = 10.0
@@ -205,6 +207,20 @@ class TestLosingTheGoal:
         assert max(rig.forces[count:]) <= 1.1 * before
         assert rig.forces[-1] < 0.7 * before
 
+    def test_goals_in_quick_succession_do_not_press_harder(self):
+        rig = Rig()
+        rig.settle()
+        rig.stack.planner.speed_scale = 0.3
+        rig.add_body(TIP, HAND_POINT, UP, 0.01, 1e3)
+        begin, most, ended = rig.plant.tip_position, 0.0, False
+        for tick in range(4000):
+            if tick % 9 == 0 and not ended:
+                rig.stack.command(Goal((begin + np.array([0.0, 0.1 * (-1) ** tick, -0.2])).tolist(), "hold"))
+            rig.step()
+            ended = "unexpected contact" in rig.ended
+            most = max(most, rig.force)
+        assert ended and most < 9.0
+
 
 class TestCaps:
     @pytest.mark.parametrize(
@@ -322,6 +338,70 @@ class TestStatesThatLie:
             rig.step()
             fastest = max(fastest, rig.rest())
         assert rig.stack.robot.stop_reason and fastest < 0.5
+
+    def test_late_states_hardly_drive_an_arm_that_gives_way(self):
+        """By 30 ms."""
+        waiting: list[JointState] = []
+
+        def late(state: JointState, _: float) -> JointState | None:
+            waiting.append(state)
+            return waiting.pop(0) if len(waiting) > 30 else None
+
+        rig = self.rig(late)
+        body = rig.add_body(TIP, np.zeros(3), UP, 0.0, CHEST)
+        fastest, modes, before = 0.0, set(), rig.plant.tip_position
+        for _ in range(1500):
+            body.surface = body.surface + 5e-6 * UP
+            rig.step()
+            fastest = max(fastest, float(np.linalg.norm(rig.plant.tip_position - before)) / 0.001)
+            before = rig.plant.tip_position
+            modes.add(rig.mode)
+        assert "yielding" in modes and rig.stack.robot.stop_reason and fastest < 0.5
+
+    @pytest.mark.parametrize(("every", "stopped"), [(100, False), slowly(100, True), slowly(500, False)])
+    def test_gaps_that_return_let_no_arm_sink(self, every, stopped):
+        """25 ms are lost again and again; the arm carries half a kilogram too much."""
+        supervision = SupervisionSettings(drive_brakes=False)
+        mismatch = dataclasses.replace(NO_MISMATCH, payload=0.5)
+        rig = self.rig(
+            lambda state, since: None if 1000 * since % every < 25 else state,
+            mismatch=mismatch,
+            controller=ControllerSettings(supervision=supervision),
+        )
+        if stopped:
+            rig.stack.stop("test")
+        before = rig.place(TIP, HAND_POINT)
+        rig.run(10.0)
+        assert np.linalg.norm(rig.place(TIP, HAND_POINT) - before) < 0.03
+        assert bool(rig.reason) == (every == 100 or stopped)
+
+    def test_a_usable_state_now_and_then_is_blindness(self):
+        """Stamps 4 ms apart, but for one in 70 ms."""
+        rig = self.rig(lambda state, since: state if round(1000 * since) % 69 % 4 == 0 else None)
+        assert rig.run(0.15, until=lambda: rig.reason) and "blind" in rig.reason
+
+    def test_an_encoder_that_drifts_is_noticed(self):
+        rig = self.rig(lambda state, since: state._replace(q=state.q + 0.03 * since * (np.arange(ARM.n) == 0)))
+        before = rig.place(TIP, HAND_POINT)
+        rig.run(4.0)
+        assert "position and velocity of lbr_A1 differ" in rig.reason
+        assert np.linalg.norm(rig.place(TIP, HAND_POINT) - before) < 0.04
+
+    def test_torques_frozen_at_rest_are_noticed_when_the_arm_is_pushed_away(self):
+        kept: list[np.ndarray] = []
+
+        def frozen(state: JointState, _: float) -> JointState:
+            kept.append(state.torque)
+            return state._replace(torque=kept[0])
+
+        rig = self.rig(frozen)
+        body = rig.add_body(TIP, np.zeros(3), UP, 0.0, CHEST)
+        for _ in range(8000):
+            body.surface = body.surface + 5e-6 * UP
+            rig.step()
+            if rig.reason:
+                break
+        assert "look at its torque sensor" in rig.reason and max(rig.forces) < 20.0
 
     def test_an_arm_without_brakes_is_held_although_an_encoder_lies(self):
         supervision = SupervisionSettings(drive_brakes=False)

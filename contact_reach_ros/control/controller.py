@@ -29,6 +29,9 @@ START_RAMP = 0.5
 """Time in which the laws reach full authority, s: a wrong model or plan shows as a slow motion first."""
 HELD_AFTER = 0.02
 """Time without a command after which a drive holds the arm by itself, s."""
+MOVED = 0.005
+"""How far a joint may have moved meanwhile, rad, so that what is held stays: without tension, an arm that is heavier
+than its model would sink a little in every pause."""
 
 
 class Controller:
@@ -258,14 +261,14 @@ class Controller:
         self.model.update(q, v)
         self.supervisor.watch_observer(clock_ns)
         self.supervisor.watch_joints(q, v)
-        self.supervisor.watch_contact(clock_ns)
+        self.supervisor.watch_contact(v, clock_ns)
         self.supervisor.watch_stop(v, clock_ns)
         paused_ns, self._last_clock_ns = clock_ns - (self._last_clock_ns or clock_ns), clock_ns
         if self.mode is Mode.SILENT:
             self._last_ns = now_ns
             return None
-        if paused_ns > self._held_ns or not self.in_force:
-            # The drive, or somebody else, may have moved the arm meanwhile: what is held is where it is now.
+        if (paused_ns > self._held_ns and self._has_moved(q)) or not self.in_force:
+            # The drive, or somebody else, has moved the arm meanwhile: what is held is where it is now.
             self.resume(self._hold_torque())
             self._restart(q, now_ns)
             self._stop.begin()
@@ -348,6 +351,9 @@ class Controller:
         """Forget all plans and hold the current pose, with authority ramping in; a stop stays in force."""
         self._started_ns = now_ns
         self.follower.restart(self.model, q, now_ns)
+
+    def _has_moved(self, q: Array) -> bool:
+        return self.state is None or not np.abs(q - self.state.q).max() <= MOVED
 
     def _hold_torque(self) -> Array:
         """Torque that holds the arm at rest, (n,), N m: zero where the arm compensates gravity itself."""

@@ -81,7 +81,7 @@ SPEED_TOLERANCE = 1.3
 SPEED_DEBOUNCE = 3
 """Time above a permitted speed that counts, ms: a single wrong state stops nothing."""
 GROWTH = 0.2
-"""Speed by which a joint may get faster in a stop, as when a person pushes the arm, rad/s."""
+"""Speed by which a joint may get faster in a stop or while the arm gives way, as when a person pushes it, rad/s."""
 REST_TIME = 0.3
 """Time at rest after which a stop ends in the drive's brakes, s: a rebound is over by then."""
 STOP_TIME = 1.0
@@ -123,7 +123,7 @@ class Supervisor:
         self._fast_joint, self._fast_point = (Debounce(SPEED_DEBOUNCE, period) for _ in range(2))
         self._faster = Debounce(SPEED_DEBOUNCE, period)
         self._stopped_at = 0.0
-        """Speed of the fastest joint when the stop began, rad/s."""
+        """Speed of the fastest joint when the stop or giving way began, rad/s."""
         self._since_ns: list[int] = []
         """When the stop or giving way began, and since when the arm has been at rest in a stop, if it is."""
         self._lost_ns: dict[str, int] = {}
@@ -179,13 +179,11 @@ class Supervisor:
         """
         if self.mode is not Mode.STOPPED:
             return
-        speed = float(np.abs(v).max())
         if not self._since_ns:
-            self._since_ns, self._stopped_at = [clock_ns], speed
-        # A stop takes energy out: where it does not, states or commands are so late that it drives the arm.
-        if self._faster.lasts(speed > self._stopped_at + GROWTH) and self._can_end:
-            joint = self._arm.joint_names[int(np.abs(v).argmax())]
-            self._give_up(f"{joint} gets faster in the stop, {speed:.2f} rad/s")
+            self._begin(v, clock_ns)
+        if self._grows(v) and self._can_end:
+            self._give_up(f"{self._fastest(v)} gets faster in the stop")
+        speed = float(np.abs(v).max())
         if speed > REST_SPEED:
             self._since_ns = self._since_ns[:1]
         elif len(self._since_ns) == 1:
@@ -199,21 +197,34 @@ class Supervisor:
             if has_brakes and (is_late or clock_ns - rested[0] >= REST_TIME * NANOSECONDS):
                 self.happens(Event.RESTED)
         elif is_late and self._can_end:
-            joint = self._arm.joint_names[int(np.abs(v).argmax())]
-            self._give_up(f"{joint} still moves with {speed:.2f} rad/s {STOP_TIME:g} s after the stop")
+            self._give_up(f"{self._fastest(v)} still moves {STOP_TIME:g} s after the stop")
+
+    def _begin(self, v: Array, clock_ns: int) -> None:
+        self._since_ns, self._stopped_at = [clock_ns], float(np.abs(v).max())
+        self._faster.lasts(False)
+
+    def _grows(self, v: Array) -> bool:
+        """Whether a joint gets faster: the law drives an arm only if states or commands are late."""
+        return self._faster.lasts(float(np.abs(v).max()) > self._stopped_at + GROWTH)
+
+    def _fastest(self, v: Array) -> str:
+        joint = int(np.abs(v).argmax())
+        return f"{self._arm.joint_names[joint]}, with {abs(v[joint]):.2f} rad/s,"
 
     @property
     def _can_end(self) -> bool:
         """Whether a drive to which nothing is commanded ends the motion."""
         return self._settings.drive_brakes or self._settings.adapter
 
-    def watch_contact(self, clock_ns: int) -> None:
+    def watch_contact(self, v: Array, clock_ns: int) -> None:
         """Give way to a contact that no plan explains, or one that is too strong; stop if it does not end."""
         verdict = self._verdicts.get(OBSERVER, Verdict())
         if self.mode is not Mode.YIELDING:
             touched = verdict.excess or (self.mode is Mode.HOLDING and verdict.contact)
             if touched and self.happens(Event.CONTACT):
-                self._since_ns = [clock_ns]
+                self._begin(v, clock_ns)
+        elif self._grows(v):
+            self.stop(StopReason(StopCode.CONTACT, f"{self._fastest(v)} gets faster while the arm gives way"))
         elif clock_ns - self._since_ns[0] >= YIELD_TIME * NANOSECONDS:
             if verdict.contact:
                 text = f"contact of {verdict.contact} has not ended although the arm gave way for {YIELD_TIME:g} s"
@@ -238,6 +249,8 @@ class Supervisor:
         """
         check_start(self._arm, q, v)
         check_rest(v)
+        if self.mode is Mode.YIELDING:
+            raise InputError("the arm gives way to a contact: reset when that has ended")
         if reason := self._verdicts.get(OBSERVER, Verdict()).reason:
             raise InputError(f"the observer is stopped ({reason}): reset the observer first")
         if self._silence(clock_ns) > OBSERVER_TIMEOUT:

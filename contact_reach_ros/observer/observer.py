@@ -171,7 +171,7 @@ class Observer:
             wrong = _REPEATED
         if wrong:
             monitor.stop_distrusting(wrong)
-        stuck = self._torque_check.update(v, torque)
+        stuck = self._torque_check.update(q, torque)
         if stuck:
             monitor.stop(stuck)
         self.updates += 1

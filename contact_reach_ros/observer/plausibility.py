@@ -9,16 +9,15 @@ from contact_reach_ros.errors import StopCode, StopReason
 from contact_reach_ros.observer.settings import PlausibilitySettings
 from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS, states_in
 
-_MEMORY = 0.2
+_MEMORY = 2.0
 """Time constant with which a difference between position and integrated velocity is forgotten, s."""
 
 FROZEN_TIME = 30
 """Time for which a position may stay the same, to the last bit, while the joint's sudden external torque is that of a
 contact, ms; a contact that lasts so long bends the arm by more than an encoder's resolution."""
-FROZEN_TORQUE_TIME = 200
-"""Time for which a measured torque may stay the same, to the last bit, while its joint moves, ms."""
-_MOVING = 0.05
-"""Speed from which a joint's torque has to change, rad/s."""
+FROZEN_TORQUE_TIME, FROZEN_TORQUE_WAY = 200, 0.003
+"""For how long a measured torque may stay the same, to the last bit, although its joint has moved by so much, ms and
+rad."""
 
 
 class PlausibilityCheck:
@@ -99,30 +98,36 @@ class TorqueCheck:
         self._states = states_in(FROZEN_TORQUE_TIME, period)
         self._last = [math.nan] * arm.n
         self._same = [0] * arm.n
+        self._from = [0.0] * arm.n
+        """Where the joint was when its torque last changed, rad."""
 
-    def update(self, v: Array, torque: Array | None) -> str:
+    def update(self, q: Array, torque: Array | None) -> str:
         """Take one state; which sensor is stuck, empty while none is.
 
         Parameters
         ----------
-        v
-            Joint velocities (n,), rad/s.
+        q
+            Joint positions (n,), rad.
         torque
             Measured torques (n,), N m; None while they are unknown.
         """
         if torque is None:
             self._last = [math.nan] * len(self._last)
             return ""
-        torques = torque.tolist()
-        for joint, (now, before, speed) in enumerate(zip(torques, self._last, v.tolist(), strict=True)):
-            moves = speed > _MOVING or speed < -_MOVING
-            self._same[joint] = self._same[joint] + 1 if now == before and moves else 0
+        torques, positions = torque.tolist(), q.tolist()
+        for joint, (now, before) in enumerate(zip(torques, self._last, strict=True)):
+            self._same[joint] += 1
+            if now != before:
+                self._same[joint], self._from[joint] = 0, positions[joint]
         self._last = torques
         if max(self._same) < self._states:
             return ""
-        joint = max(range(len(torques)), key=self._same.__getitem__)
-        return StopReason(
-            StopCode.TORQUE_SENSOR,
-            f"the torque of {self._names[joint]} has been {torques[joint]:.2f} Nm for {self._same[joint]} states "
-            f"although it moves with {v[joint]:.2f} rad/s: look at its torque sensor",
-        )
+        for joint, (states, begin) in enumerate(zip(self._same, self._from, strict=True)):
+            moved = abs(positions[joint] - begin)
+            if states >= self._states and moved > FROZEN_TORQUE_WAY:
+                return StopReason(
+                    StopCode.TORQUE_SENSOR,
+                    f"the torque of {self._names[joint]} has been {torques[joint]:.2f} Nm for {states} states although "
+                    f"it has moved by {moved:.3f} rad: look at its torque sensor",
+                )
+        return ""

@@ -88,7 +88,7 @@ class PlausibilitySettings(Settings):
 
     position_slip: float = setting(
         0.02,
-        "difference between a position and its integrated velocity that stops the arm, forgotten over 0.2 s",
+        "difference between a position and its integrated velocity that stops the arm, forgotten over 2 s",
         unit="rad",
         minimum=0.001,
         maximum=0.5,

@@ -6,12 +6,14 @@ import numpy as np
 
 from contact_reach_ros.arm import BLIND_AFTER, REST_SPEED, Arm, Array, check_fresh
 from contact_reach_ros.errors import InputError, StopCode, StopReason
-from contact_reach_ros.timing import NANOSECONDS, PAUSE
+from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS, PAUSE
 
 STILL = 20
 """So many states whose stamp is not new mean that the stamps have stopped."""
 PERIODS = 4
 """Least number of periods without a usable state that count as blindness."""
+FORGIVENESS = 0.2
+"""Share of the time with usable states that makes up for time without: gaps that return soon add up to blindness."""
 
 
 class RateCheck:
@@ -63,7 +65,7 @@ class RateCheck:
 
 
 class Sight:
-    """Watches for how long no external torque has followed from the joint states; for too long is blindness.
+    """Watches for how long no external torque has followed from the joint states of late; for too long is blindness.
 
     Torques may be unknown while the arm rests: its brakes are closed, and nobody has been handed the arm.
 
@@ -86,6 +88,9 @@ class Sight:
         self._limit_ns = round(max(blind_after, PERIODS * period) * NANOSECONDS)
         self._seen_ns: int | None = None
         """Stamp of the last usable state."""
+        self._unseen_ns = 0.0
+        """Time of earlier gaps that is not made up for."""
+        self._gap_ns = GAP_PERIODS * period * NANOSECONDS
         self._torque_ns: int | None = None
         """Stamp of the last state that a torque followed from."""
         self._lapse_ns = round(max(BLIND_AFTER, PERIODS * period) * NANOSECONDS)
@@ -112,16 +117,16 @@ class Sight:
         self._repeated, self._stamp_ns = 0, stamp_ns
         self.rate.update(stamp_ns)
         if seen:
-            self._seen_ns = self._torque_ns = stamp_ns
-            self.blind, self.doubt = "", self.rate.mismatch()
-            return
-        speed = float(np.abs(v).max())
-        if not known and not missing and speed <= REST_SPEED:
+            self._torque_ns = stamp_ns
+        if seen or (not known and not missing and float(np.abs(v).max()) <= REST_SPEED):
+            since_ns = 0 if self._seen_ns is None else max(stamp_ns - self._seen_ns, 0)
+            more_ns = since_ns if since_ns > self._gap_ns else -FORGIVENESS * since_ns
+            self._unseen_ns = min(max(self._unseen_ns + more_ns, 0.0), self._limit_ns)
             self._seen_ns, self.blind, self.doubt = stamp_ns, "", self.rate.mismatch()
             return
         if self._seen_ns is None or stamp_ns < self._seen_ns:
             self._seen_ns = stamp_ns
-        unseen_ns = stamp_ns - self._seen_ns
+        unseen_ns = self._unseen_ns + stamp_ns - self._seen_ns
         if unseen_ns > self._limit_ns:
             if missing or not known:
                 self._lose(missing or self._explain_motion(v))
@@ -157,8 +162,8 @@ class Sight:
         )
 
 
-def _explain_gaps(unseen_ns: int) -> str:
+def _explain_gaps(unseen_ns: float) -> str:
     return (
-        f"for {1000 * unseen_ns / NANOSECONDS:.0f} ms by their stamps no two joint states were near enough for the "
-        "external torque: look at the driver, its clock and the network"
+        f"for {1000 * unseen_ns / NANOSECONDS:.0f} ms of late by their stamps no two joint states were near enough for "
+        "the external torque: look at the driver, its clock and the network"
     )

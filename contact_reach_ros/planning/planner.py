@@ -205,7 +205,6 @@ class Planner:
             self._progress.go_on(goal)
         else:
             self._failures = 0
-            self._unexpected_ns = None
             self._progress = GoalProgress(goal)
         return goes_on
 
@@ -251,7 +250,7 @@ class Planner:
         """
         if self._progress is not None:
             self._progress.end(phase, reason)
-        self.goal = self.plan = None
+        self.goal = self.plan = self._unexpected_ns = None
         self._stream.end()
         if self.core is not None:
             self.core.reset()

@@ -59,9 +59,9 @@ class TestContact:
 
     def watch(self, supervisor: Supervisor, verdict: Verdict, seconds: float) -> None:
         supervisor.hear(OBSERVER, verdict, supervisor.now_ns)
-        supervisor.watch_contact(supervisor.now_ns)
+        supervisor.watch_contact(REST, supervisor.now_ns)
         supervisor.now_ns += round(seconds * 1e9)
-        supervisor.watch_contact(supervisor.now_ns)
+        supervisor.watch_contact(REST, supervisor.now_ns)
 
     @pytest.mark.parametrize(
         ("is_tracking", "verdict", "mode"),
@@ -125,7 +125,7 @@ class TestStop:
         assert (stopped.mode, stopped.stop_reason) == (Mode.STOPPED, "pushed")
         self.watch(stopped, self.FAST, due, due)
         assert stopped.mode is Mode.SILENT
-        expected = "pushed; lbr_A5 still moves with 0.10 rad/s 1 s after the stop; nothing is commanded any more"
+        expected = "pushed; lbr_A5, with 0.10 rad/s, still moves 1 s after the stop; nothing is commanded any more"
         assert stopped.stop_reason.startswith(expected)
         stopped.stop("again")
         assert stopped.stop_reason.startswith("pushed; ") and stopped.mode is Mode.SILENT

@@ -85,7 +85,7 @@ class TestStuckTorque:
 
     def states(self, torques, v, period=0.001):
         check = TorqueCheck(ARM, period)
-        return [check.update(v, torque) for torque in torques]
+        return [check.update(HOME + period * tick * v, torque) for tick, torque in enumerate(torques)]
 
     @pytest.mark.parametrize("period", [0.001, 0.005])
     def test_it_is_noticed_after_its_time_and_the_joint_is_named(self, period):
@@ -96,7 +96,15 @@ class TestStuckTorque:
         assert found[-1].code is StopCode.TORQUE_SENSOR
 
     def test_an_arm_at_rest_may_have_constant_torques(self):
-        assert not any(self.states([np.full(ARM.n, 3.0)] * 1000, np.full(ARM.n, 0.04)))
+        assert not any(self.states([np.full(ARM.n, 3.0)] * 1000, np.full(ARM.n, 0.0029)))
+
+    def test_a_joint_that_is_pushed_away_slowly_shows_it(self):
+        assert any(self.states([np.full(ARM.n, 3.0)] * 1000, np.full(ARM.n, 0.0031)))
+
+    def test_one_that_moves_to_and_fro_does_not(self):
+        check = TorqueCheck(ARM)
+        there = HOME + 0.002
+        assert not any(check.update(HOME if tick % 2 else there, np.full(ARM.n, 3.0)) for tick in range(1000))
 
     def test_the_observer_stops_for_it(self):
         observer, torque = Observer(ARM, ObserverSettings(), ContactBudget()), RobotModel(ARM).gravity_at(HOME)
