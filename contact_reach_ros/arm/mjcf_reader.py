@@ -132,17 +132,17 @@ class _Writer:
             add_joint(self._robot, f"{name} mount", "fixed", (before, name), at)
 
     def _effort(self, joint: int) -> float | None:
-        """The torque that a joint and its actuators permit, N m; None where nothing limits it."""
+        """The torque that a joint and its actuators permit in both directions, N m; None where nothing limits it."""
         model = self._model
-        found = [np.abs(model.jnt_actfrcrange[joint]).max()] if model.jnt_actfrclimited[joint] else []
+        found = [np.abs(model.jnt_actfrcrange[joint]).min()] if model.jnt_actfrclimited[joint] else []
         on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
         for each in np.flatnonzero(on_joints & (model.actuator_trnid[:, 0] == joint)):
             gear = abs(model.actuator_gear[each, 0])
             if model.actuator_forcelimited[each]:
-                found.append(gear * np.abs(model.actuator_forcerange[each]).max())
+                found.append(gear * np.abs(model.actuator_forcerange[each]).min())
             elif model.actuator_ctrllimited[each] and model.actuator_biastype[each] == mujoco.mjtBias.mjBIAS_NONE:
-                most = np.abs(model.actuator_ctrlrange[each]).max()
-                found.append(gear * abs(model.actuator_gainprm[each, 0]) * most)
+                least = np.abs(model.actuator_ctrlrange[each]).min()
+                found.append(gear * abs(model.actuator_gainprm[each, 0]) * least)
         return float(min(found)) if found else None
 
     def _add_geometry(self, geom: int, link: Element) -> None:

@@ -408,7 +408,7 @@ def test_without_xacro_its_command_is_said(end, tmp_path, monkeypatch):
 
 
 MJCF = """<mujoco model="odd"><compiler angle="degree" autolimits="true"/>
-<default><default class="a"><joint axis="0 0 1" range="-100 100" armature="0.1" actuatorfrcrange="-90 90"/>
+<default><default class="a"><joint axis="0 0 1" range="-100 100" armature="0.1" actuatorfrcrange="-120 90"/>
 <geom type="capsule" size="0.04 0.1" contype="1"/></default></default>
 <asset><mesh name="box" vertex="0 0 0  0.1 0 0  0 0.2 0  0 0 0.1  0.1 0.2 0.1" scale="1 1 2"/></asset>
 <worldbody><geom type="plane" size="1 1 1"/><light pos="0 0 3"/>
@@ -424,7 +424,7 @@ MJCF = """<mujoco model="odd"><compiler angle="degree" autolimits="true"/>
 <body name="pad" pos="0 0.1 0"><joint name="left_finger" type="slide" range="0 0.04" pos="0 0 0.1"/>
 <joint name="left_jaw" pos="0.03 0 0" ref="10" axis="0 1 0"/><geom size="0.01 0.02" pos="0 0 0.1"/></body>
 </body></body></body></body></body></worldbody>
-<actuator><motor joint="q4" gear="5" ctrlrange="-4 4"/></actuator></mujoco>"""
+<actuator><motor joint="q4" gear="5" ctrlrange="-4 6"/></actuator></mujoco>"""
 
 
 def test_an_mjcf_is_the_arm_that_mujoco_simulates(tmp_path):
