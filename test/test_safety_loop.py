@@ -217,10 +217,11 @@ class SafetyLoop(RuleBasedStateMachine):
         controller = self.controller
         assert np.isfinite(torque).all()
         assert (np.abs(torque) <= CAP).all()
-        # After a pause the drive has taken over; a new start begins with the torque that holds the arm.
-        is_new = not was_started or self.sent is None or self.clock_ns - self.sent_ns > PAUSE_NS
-        before = self.hold_torque() if is_new else self.sent
-        assert (np.abs(torque - before) <= STEP).all()
+        # A new start begins with the torque that holds the arm, and so does what follows a pause in which it was moved.
+        is_new = not was_started or self.sent is None
+        follows = not is_new and (np.abs(torque - self.sent) <= STEP).all()
+        begins = is_new or self.clock_ns - self.sent_ns > PAUSE_NS
+        assert follows or (begins and (np.abs(torque - self.hold_torque()) <= STEP).all())
         self.sent, self.sent_ns = torque, self.clock_ns
         assert was_started or self.vouched
         assert controller.mode not in ACTS or self.vouched_lately

@@ -116,13 +116,18 @@ class PassiveStop:
             # Where the arm is moved to it may be lighter.
             self._stiffen(mass_matrix)
             self._spread[:, 0] = self._compliance @ hold
+        carried = _CARRIED_SHARE * carried
+        if (np.abs(carried) > most).any():
+            # A joint cannot be so far from where the stop began, unless its encoder was set anew.
+            carried = yielded(carried, most, self._compliance)
+            self._spread[:, 1] = self._compliance @ carried / _CARRIED_SHARE
         if self._since <= BRAKING_TIME:
             self._from = model.position.copy()
         elif self._since > GIVING_TIME or math.dist(model.position.tolist(), self._from.tolist()) > GIVING_WAY:
             self._gives = False
         constants = np.array([_GIVING_CONSTANT if self._gives else np.inf, _CARRIED_CONSTANT])
         self._spread *= 1.0 - np.minimum(period / constants, 1.0)
-        return hold + _CARRIED_SHARE * carried
+        return hold + carried
 
     def _stiffen(self, mass_matrix: Array) -> None:
         self._stiffness = (_HOLD_SHARE * self._constants[Constant.STOP_RATE, 0]) ** 2 * mass_matrix

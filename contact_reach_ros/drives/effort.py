@@ -39,9 +39,14 @@ class RepeatedRequest:
         self._future: Future | None = None
         self._sent = 0.0
 
+    @property
+    def is_there(self) -> bool:
+        """Whether the service is there."""
+        return bool(self._client.service_is_ready())
+
     def send(self, request: Any) -> None:
         """Send it, unless the service is not there, or an answer may still come; to be called again and again."""
-        if not self._client.service_is_ready():
+        if not self.is_there:
             return
         if self._future is not None and not self._future.done():
             if time.monotonic() - self._sent < _PATIENCE_S:
@@ -81,6 +86,8 @@ class EffortTarget:
         self.topic = topics.COMMANDS._replace(name=f"{settings.controller}/commands")
         self.order: tuple[str, ...] = ()
         self.idle = ""
+        self._name = settings.controller.rpartition("/")[2]
+        """As the controller manager has it."""
         self._order_problem = self._found = self._inactive = ""
         self._node, self._arm, self._settings = node, arm, settings
         self._indices: list[int] = []
@@ -114,13 +121,13 @@ class EffortTarget:
         return self._order_problem + self._found if self._order_problem else self._inactive
 
     def look(self) -> None:
-        """Ask for the order of joints, unless it is known, and whether torques reach the arm.
+        """Ask for the order of joints, which may be another after a restart, and whether torques reach the arm.
 
         To be called a few times a second.
         """
         self.ask_idle()
-        if self._question is not None and self._order_problem:
-            self._found = self._find_elsewhere()
+        if self._question is not None:
+            self._found = self._find_elsewhere() if self._order_problem else ""
             self._question.send(GetParameters.Request(names=["joints"]))
 
     def prepare(self) -> bool:
@@ -148,16 +155,16 @@ class EffortTarget:
         """Deactivate the controller, if that is possible; without waiting for it."""
         self._switch_controller("deactivate")
 
-    def resume(self) -> None:
-        """Activate it again."""
-        self._switch_controller("activate")
+    def resume(self, was_stopped: bool) -> None:
+        """Activate it again after a stop."""
+        if was_stopped:
+            self._switch_controller("activate")
 
     def _find_elsewhere(self) -> str:
         """Where else there is a controller of that name, in words; empty if it is where it is looked for."""
-        name = self._settings.controller.rpartition("/")[2]
         own = self._node.resolve_topic_name(self._settings.controller)
         nodes = self._node.get_node_names_and_namespaces()
-        found = {f"{namespace.rstrip('/')}/{each}" for each, namespace in nodes if each == name}
+        found = {f"{namespace.rstrip('/')}/{each}" for each, namespace in nodes if each == self._name}
         if not found or own in found:
             return ""
         return f"; there is {', '.join(sorted(found))}: set the parameter {self.SECTION}.controller to it"
@@ -178,15 +185,15 @@ class EffortTarget:
         self.order, self._order_problem = joints, ""
 
     def _on_list(self, answer: Any) -> None:
-        name, found = self._settings.controller.rpartition("/")[2], {each.name: each for each in answer.controller}
-        state = found[name].state if name in found else "not loaded"
-        self.idle, inactive = "" if state == _ACTIVE else f"{name} is {state}", ""
+        name, found = self._name, {each.name: each for each in answer.controller}
         # One that is not loaded may be that of another controller manager.
-        if state != _ACTIVE and name in found:
+        state, inactive = found[name].state if name in found else _ACTIVE, ""
+        self.idle = "" if state == _ACTIVE else f"{name} is {state}"
+        if self.idle:
             others = [each.name for each in found.values() if each.state == _ACTIVE and each.claimed_interfaces]
             instead = f", and {', '.join(others)} commands the drive" if others else ""
             switch = f"--activate {name}" + (f" --deactivate {' '.join(others)}" if others else "")
-            inactive = f"{name} is {state}{instead}: ros2 control switch_controllers {switch}"
+            inactive = f"{self.idle}{instead}: ros2 control switch_controllers {switch}"
         # At once: the loop reads it in another thread.
         self._inactive = inactive
 
@@ -194,11 +201,11 @@ class EffortTarget:
         if self._switch is None:
             return
         request: Any = SwitchController.Request(strictness=SwitchController.Request.STRICT)
-        setattr(request, f"{act}_controllers", [self._settings.controller])
+        setattr(request, f"{act}_controllers", [self._name])
         self._switch.call_async(request).add_done_callback(lambda future: self._on_switched(act, future))
 
     def _on_switched(self, act: str, future: Future) -> None:
-        logger, name = self._node.get_logger(), self._settings.controller
+        logger, name = self._node.get_logger(), self._name
         if future.result() is not None and future.result().ok:
             logger.info(f"{act}d {name}")
         else:

@@ -25,6 +25,8 @@ REFLEX_FORCE, REFLEX_MOMENT = 60.0, 30.0
 REFLEX_SERVICE = "service_server/set_full_collision_behavior"
 """Service of franka_ros2 that sets them."""
 
+_NOT_SET = f"the reflexes are not set yet: {REFLEX_SERVICE} does not answer"
+
 _CONTROLLER, _OBSERVER = "controller", "observer"
 _RATE, _THRESHOLDS = "limits.torque_rate", "budget.torque_thresholds"
 
@@ -55,7 +57,7 @@ class FrankaTarget(EffortTarget):
             )
         client = node.create_client(SetFullCollisionBehavior, REFLEX_SERVICE)
         self._setter = RepeatedRequest(client, self._on_set)
-        self._unset = f"the reflexes are not set yet: {REFLEX_SERVICE} does not answer"
+        self._unset = _NOT_SET
 
     @property
     def problem(self) -> str:
@@ -63,8 +65,10 @@ class FrankaTarget(EffortTarget):
         return self._unset or super().problem
 
     def look(self) -> None:
-        """Ask for the order of joints, and set the reflexes, unless that is done; to be called a few times a second."""
+        """Ask as an effort controller, and set the reflexes of each driver once; to be called a few times a second."""
         super().look()
+        if self._setter is not None and not self._setter.is_there:
+            self._unset = _NOT_SET
         if self._setter is not None and self._unset:
             self._setter.send(self._request())
 

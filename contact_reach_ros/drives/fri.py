@@ -40,6 +40,8 @@ that count, so that one pause is no slow driver."""
 _DRIFT = 1e-4
 """By how much, at most, the robot's clock runs faster than this machine's, as a share."""
 _CLOCK_SET_NS = NANOSECONDS // 2
+_CHECK_PAUSE_S = 0.05
+"""After a longer pause the stiffness is measured anew."""
 _PAUSE_S = 1.0
 """After a longer pause velocity and unfiltered torque are unknown again."""
 
@@ -191,8 +193,8 @@ class StiffnessCheck:
         joint = int(np.argmin(amplitude))
         if amplitude[joint] < 0.2 * self.SWING:
             self.problem = (
-                f"the commanded position of {self._names[joint]} does not follow: is lbr_torque_command_controller "
-                "active, and does nobody else command?"
+                f"the commanded position of {self._names[joint]} does not follow: activate "
+                "lbr_torque_command_controller, let nobody else command, and call the adapter's ~/reset"
             )
             return
         stiffness = (torque * difference.conj()).real / np.abs(difference) ** 2
@@ -202,7 +204,8 @@ class StiffnessCheck:
             self.problem = (
                 f"KUKA's joint impedance control has a stiffness of about {stiffness[joint]:.0f} Nm/rad on "
                 f"{self._names[joint]}; expected 0: set new JointImpedanceControlMode(0, 0, 0, 0, 0, 0, 0) in "
-                "LBRServer.java, synchronise the controller, and start LBRServer and lbr_bringup again"
+                "LBRServer.java, synchronise the controller, and start LBRServer and lbr_bringup again; if somebody "
+                "moved the arm meanwhile, call the adapter's ~/reset"
             )
 
 
@@ -272,6 +275,11 @@ class FriStates:
             self._check = StiffnessCheck(self._arm)
         return self._check is not None and not self._check.is_over
 
+    def reset(self) -> None:
+        """Let the stiffness be measured again, unless it is as expected."""
+        if self._check is not None and self._check.is_over and self._check.problem:
+            self._check = None
+
     def describe(self, description: str, has_commanded: bool) -> None:
         """Take the driver's `robot_description`; see `read_driver`."""
         self.driver, self._q = None, None
@@ -305,6 +313,8 @@ class FriStates:
         self._not_ready = self._find_problem(message)
         if not elapsed:
             return None
+        if not follows or (elapsed > _CHECK_PAUSE_S and self._check is not None and not self._check.is_over):
+            self._check = None
         raw = self._unfiltered(torque, message.sample_time, steps) if follows else None
         self._v = self._velocity(q, elapsed) if follows else np.zeros(self._arm.n)
         self._commanded = self._commanded_in(message, q, elapsed, follows)

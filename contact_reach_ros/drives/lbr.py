@@ -159,8 +159,9 @@ class LbrTarget:
             request = SetHardwareComponentState.Request(name=self._settings.component, target_state=target)
             self._switch.call_async(request).add_done_callback(self._on_switched)
 
-    def resume(self) -> None:
-        """Do nothing: the driver has to be started again, with the application on the smartPAD."""
+    def resume(self, was_stopped: bool) -> None:
+        """Check again what has failed; after a stop the driver has to be started again, with LBRServer."""
+        self.states.reset()
 
     def diagnosis(self) -> dict[str, Any]:
         """The driver's generation, and what is doubtful."""

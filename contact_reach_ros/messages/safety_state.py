@@ -29,7 +29,7 @@ DOUBT = "doubt"
 TORQUE = "acting torque"
 """Key of whether the acting torque is known."""
 
-_ADAPTER, _WAITING = "adapter", "waiting"
+_ADAPTER, _STATE, _PASSING = "adapter", "state", "passing"
 
 _KNOWN, _UNKNOWN = "known", "unknown"
 
@@ -89,7 +89,7 @@ def read_in_force(message: Any, before: bool) -> bool:
     """Whether commands act on the arm, by the adapter's safety state; as before, by that of another node."""
     if message.name != _ADAPTER:
         return before
-    return read_level(message) < ERROR and all(item.value != _WAITING for item in message.values if item.key == "state")
+    return any((item.key, item.value) == (_STATE, _PASSING) for item in message.values)
 
 
 def read_reason(message: Any) -> str:

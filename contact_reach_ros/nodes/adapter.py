@@ -143,10 +143,9 @@ class AdapterNode(StoppableNode):
         """Pass commands on again. Raises `InputError` if the arm may not be released yet."""
         if self._is_ending:
             raise InputError(f"{_ENDING}: let it, and start the stack again")
-        was_stopped = self._guard.stop_reason
+        was_stopped = bool(self._guard.stop_reason)
         self._guard.reset(self.now_ns)
-        if was_stopped:
-            self._target.resume()
+        self._target.resume(was_stopped)
         self._publish_safety()
 
     def turn(self) -> None:

@@ -114,6 +114,21 @@ def test_harmless_torques_damp_and_carry_only_where_they_must(settings, carried)
     np.testing.assert_allclose(bench.tick(80, states=False)[-1], carried, atol=1e-9)
 
 
+@pytest.mark.parametrize("settings", [AdapterSettings(), FLOATING])
+def test_an_encoder_that_is_set_anew_hardly_kicks_a_stopped_arm(settings):
+    """Harmless torques press with no more than twice what they hold."""
+    bench, jumped = Bench(settings), HOME + 2.0 * np.pi * (np.arange(ARM.n) == 0)
+    bench.see()
+    bench.command(GRAVITY * settings.gravity_compensation)
+    bench.tick(500)
+    carried = GRAVITY * settings.gravity_compensation
+    for _ in range(500):
+        bench.now_ns += TICK_NS
+        bench.guard.see(JointState(bench.now_ns, jumped, REST, None), bench.now_ns)
+        extra = np.abs(bench.guard.watch(bench.now_ns) - carried)
+        assert (extra <= 2.0 * np.array(ARM.default("handover_thresholds"))).all()
+
+
 @pytest.mark.parametrize("silence", [50, 200])
 def test_after_a_silence_commands_come_back_by_and_by(bench, silence):
     bench.command()

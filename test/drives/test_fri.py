@@ -15,6 +15,7 @@ from contact_reach_ros.drives.command_guard import Phase
 from contact_reach_ros.drives.fri import FriStates, read_driver
 from contact_reach_ros.drives.settings import LbrSettings
 from contact_reach_ros.errors import InputError
+from contact_reach_ros.messages.safety_state import read_in_force
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.presets import SECTIONS
 from contact_reach_ros.resources import config_file
@@ -198,7 +199,21 @@ def test_a_position_that_is_not_commanded_is_named():
     robot = behind_adapter(LATER)
     robot.robot.aim = lambda position: None
     asked_for(robot, 1.6)
-    assert "does not follow: is lbr_torque_command_controller active" in robot.problem
+    assert "does not follow: activate lbr_torque_command_controller" in robot.problem
+    del robot.robot.aim
+    assert "does not follow" in asked_for(robot, 3.0).problem
+    robot.states.reset()
+    assert not asked_for(robot, 4.6).problem
+
+
+def test_after_a_pause_of_the_states_or_with_another_driver_the_stiffness_is_measured_again():
+    robot = asked_for(behind_adapter(LATER), 1.3)
+    robot.states.read(fri_message(10_000), 0)
+    assert "has not been measured yet" in robot.states.problem
+    robot = asked_for(behind_adapter(LATER), 1.3)
+    robot.states.describe(described(CONFIGS[LATER]), True)
+    robot.states.read(fri_message(10_001), 0)
+    assert "has not been measured yet" in robot.states.problem
 
 
 def test_a_new_session_is_checked_again():
@@ -260,8 +275,19 @@ class BehindAdapter(Stack):
         )
 
     def _control(self):
-        self.controller.in_force = self.robot.guard.phase is Phase.PASSING
+        phase = SimpleNamespace(key="state", value=self.robot.guard.phase.value)
+        message = SimpleNamespace(name="adapter", values=[phase])
+        self.controller.in_force = read_in_force(message, self.controller.in_force)
         return super()._control()
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_commands_are_in_force_only_while_they_pass(phase):
+    """Others may move the arm while it gets harmless torques: nothing must pull it back."""
+    state = [SimpleNamespace(key="state", value=phase.value)]
+    for before in (False, True):
+        assert read_in_force(SimpleNamespace(name="adapter", values=state), before) == (phase is Phase.PASSING)
+        assert read_in_force(SimpleNamespace(name="driver", values=state), before) == before
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,8 @@ def test_a_stop_deactivates_the_effort_controller_unless_the_arm_would_drop(carr
     node, settings = Node(), EffortSettings(ask_joints=False, brakes=brakes)
     target = effort.EffortTarget(node, ARM, settings, carries)
     target.stop()
-    target.resume()
+    target.resume(False)
+    target.resume(True)
     asked = [(list(each.activate_controllers), list(each.deactivate_controllers)) for each in node.asked]
     assert asked == ([([], ["effort_controller"]), (["effort_controller"], [])] if switches else [])
     monkeypatch.setattr(effort, "SwitchController", None)
@@ -174,7 +175,8 @@ def test_a_stop_deactivates_the_effort_controller_unless_the_arm_would_drop(carr
     [
         ({"effort_controller": "active"}, ""),
         ({"effort_controller": "inactive", "another": "active"}, "effort_controller is inactive"),
-        ({"another": "active"}, "effort_controller is not loaded"),
+        # That of another controller manager.
+        ({"another": "active"}, ""),
     ],
 )
 def test_torques_reach_an_arm_whose_effort_controller_is_active(states, idle):
@@ -183,6 +185,24 @@ def test_torques_reach_an_arm_whose_effort_controller_is_active(states, idle):
     assert not target.idle
     target.ask_idle()
     assert target.idle == idle
+
+
+def test_the_controller_manager_knows_a_controller_without_its_namespace():
+    node = Node()
+    effort.EffortTarget(node, ARM, EffortSettings(controller="left/effort_controller", ask_joints=False), False).stop()
+    assert list(node.asked[0].deactivate_controllers) == ["effort_controller"]
+
+
+def test_another_order_of_joints_after_a_restart_counts(monkeypatch):
+    monkeypatch.setattr(effort, "ListControllers", None)
+    node = Node()
+    target = effort.EffortTarget(node, ARM, EffortSettings(), True)
+    monkeypatch.setattr(target, "_find_elsewhere", lambda: "")
+    for order in (ARM.joint_names, ARM.joint_names[::-1]):
+        node.answer = SimpleNamespace(values=[SimpleNamespace(string_array_value=order)])
+        target.look()
+        assert target.order == order and not target.problem
+    assert target.write(np.arange(7.0)) == target._writer.write(np.arange(7.0)[::-1])
 
 
 def test_nothing_passes_while_another_controller_commands_the_drive():
@@ -358,6 +378,7 @@ def test_nothing_passes_before_the_reflexes_are_set(monkeypatch):
     node = Node(franka.SetFullCollisionBehavior.Response(success=True))
     target = make_franka(node)
     target._take_order(ARM.joint_names)
+    target._question = None
     assert target.problem.startswith("the reflexes are not set yet")
     target.look()
     (request,) = node.asked
@@ -366,6 +387,13 @@ def test_nothing_passes_before_the_reflexes_are_set(monkeypatch):
     assert request.upper_force_thresholds_acceleration.tolist() == [60.0] * 3 + [30.0] * 3
     target.look()
     assert len(node.asked) == 1
+    # A driver that was started again has its own.
+    node.service_is_ready = lambda: False
+    target.look()
+    assert target.problem.startswith("the reflexes are not set yet")
+    node.service_is_ready = lambda: True
+    target.look()
+    assert not target.problem and len(node.asked) == 2
 
 
 @pytest.mark.parametrize(
