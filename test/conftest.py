@@ -35,8 +35,9 @@ def pytest_addoption(parser):
     parser.addoption("--quick", action="store_true", help="no slow tests, and a part of the fault matrix")
 
 
-LONGEST = ("stacks", "benchmarks", "planning", "test", "examples", "nodes", "arm", "faults", "control")
-"""Folders whose tests take minutes, in the order in which they are run: `planning` has the programs of `stacks`."""
+LONGEST = ("stacks", "arm", "benchmarks", "planning", "test", "examples", "nodes", "faults", "control")
+"""Folders whose tests take minutes, in the order in which they are run: most others have the programs that `stacks`
+compiles meanwhile."""
 
 
 @pytest.hookimpl(tryfirst=True)
