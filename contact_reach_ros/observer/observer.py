@@ -10,15 +10,15 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.errors import InputError, StopCode, StopReason, Verdict
+from contact_reach_ros.errors import InputError, Verdict
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.location import Contact, ContactLocator
 from contact_reach_ros.observer.momentum import MomentumObserver
-from contact_reach_ros.observer.plausibility import FROZEN_TIME, PlausibilityCheck, TorqueCheck
+from contact_reach_ros.observer.plausibility import PlausibilityCheck, TorqueCheck
 from contact_reach_ros.observer.safety import SafetyLevel, SafetyMonitor
 from contact_reach_ros.observer.settings import ObserverSettings
-from contact_reach_ros.observer.sight import PERIODS, Sight
-from contact_reach_ros.timing import NANOSECONDS, Debounce, StampOrder, states_in
+from contact_reach_ros.observer.sight import Sight
+from contact_reach_ros.timing import NANOSECONDS, Debounce, StampOrder
 
 HEARTBEAT = 0.01
 """Longest time between reports that must be passed on, s."""
@@ -66,13 +66,6 @@ def describe_contact(contact: Contact | None) -> str:
     if contact is None or contact.strength < LEAST_FORCE:
         return ""
     return f"{contact.strength:.0f} N at {contact.link}"
-
-
-_REPEATED = StopReason(
-    StopCode.BLIND,
-    "blind: joint_states repeat positions, velocities and efforts to the last bit, with new stamps: the driver has "
-    "lost the robot, or its sensors are too coarse",
-)
 
 
 class Observer:
@@ -129,10 +122,6 @@ class Observer:
         self._locates = locates
         self._torque_known = False
         """Whether the last states came with torques, after the first of them."""
-        self._content = b""
-        """Positions, velocities and torques of the last state."""
-        self._repeats, self._most_repeats = 0, max(PERIODS, states_in(FROZEN_TIME, period))
-        """States that were the same as the last one, to the last bit."""
         self._permitted = budget.permitted_force + EXCESS_FORCE
         self._heartbeat_every = max(1, round(HEARTBEAT / period))
         self._excess = Debounce(EXCESS_TIME, period * self._heartbeat_every)
@@ -153,9 +142,6 @@ class Observer:
         if not self.order.is_new(stamp_ns):
             return self._conclude(stamp_ns, is_heartbeat=True) if self.sight.repeated() else None
         torque, missing = self._known_torque(state.torque, stamp_ns)
-        content = q.tobytes() + v.tobytes() + (b"" if torque is None else torque.tobytes())
-        self._repeats = self._repeats + 1 if torque is not None and content == self._content else 0
-        self._content = content
         momentum, monitor = self.momentum, self.monitor
         if missing:
             # The next state is compared with the last good one: this is no hand-over.
@@ -166,9 +152,7 @@ class Observer:
             self._torque_known = torque is not None and (self._torque_known or momentum.known_for > 0.0)
         self.sight.advanced(stamp_ns, v, momentum.updated_ns == stamp_ns, missing, torque is not None)
         monitor.update(momentum.residual, q, v, momentum.known_for)
-        wrong = self._plausibility.update(q, v, monitor.sudden, stamp_ns)
-        if self._repeats >= self._most_repeats:
-            wrong = _REPEATED
+        wrong = self._plausibility.update(q, v, torque, monitor.sudden, stamp_ns)
         if wrong:
             monitor.stop_distrusting(wrong)
         stuck = self._torque_check.update(q, torque)

@@ -7,6 +7,7 @@ import math
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.errors import StopCode, StopReason
 from contact_reach_ros.observer.settings import PlausibilitySettings
+from contact_reach_ros.observer.sight import PERIODS
 from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS, states_in
 
 _MEMORY = 2.0
@@ -20,12 +21,20 @@ FROZEN_TORQUE_TIME, FROZEN_TORQUE_WAY = 200, 0.003
 rad."""
 
 
+_REPEATED = StopReason(
+    StopCode.BLIND,
+    "blind: joint_states repeat positions, velocities and efforts to the last bit, with new stamps: the driver has "
+    "lost the robot, or its sensors are too coarse",
+)
+
+
 class PlausibilityCheck:
     """Detects joint states on which nobody may act, not even to stop the arm softly.
 
-    Two things are impossible. One is a position that does not follow its velocity: ∫(dq − q̇ dt), with a slow leak, must
-    stay near zero. The other is a position that does not change at all while torque acts on the joint: a contact that
-    the momentum observer would hold responsible bends the compliant arm by more than an encoder's resolution.
+    Three things are impossible. One is a state that repeats itself, as sensors have noise. Another is a position that
+    does not follow its velocity: ∫(dq − q̇ dt), with a slow leak, must stay near zero. The last is a position that does
+    not change at all while torque acts on the joint: a contact that the momentum observer would hold responsible bends
+    the compliant arm by more than an encoder's resolution.
     """
 
     def __init__(
@@ -42,19 +51,30 @@ class PlausibilityCheck:
         self._stamp_ns = 0
         self._slips = [0.0] * arm.n
         self._same = [0] * arm.n
+        self._content = b""
+        """Positions, velocities and torques of the last state."""
+        self._repeats, self._most_repeats = 0, max(PERIODS, self._frozen_states)
+        """States that were the same as the last one, to the last bit."""
 
-    def update(self, q: Array, v: Array, sudden: Array | None, stamp_ns: int) -> str:
+    def update(self, q: Array, v: Array, torque: Array | None, sudden: Array | None, stamp_ns: int) -> str:
         """Take one state; returns what is wrong with it and those before it, empty while nothing is.
 
         Parameters
         ----------
         q, v
             Joint positions (n,) rad and velocities (n,) rad/s.
-        sudden
-            Sudden external torque (n,), N m; None while it is unknown.
+        torque, sudden
+            Measured and sudden external torque (n,), N m; None while it is unknown.
         stamp_ns
             Time of the state.
         """
+        differs = self._compare(q, v, sudden, stamp_ns)
+        content = q.tobytes() + v.tobytes() + (b"" if torque is None else torque.tobytes())
+        self._repeats = self._repeats + 1 if torque is not None and content == self._content else 0
+        self._content = content
+        return differs if self._repeats < self._most_repeats else _REPEATED
+
+    def _compare(self, q: Array, v: Array, sudden: Array | None, stamp_ns: int) -> str:
         positions, speeds = q.tolist(), v.tolist()
         previous, last_speeds, elapsed_ns = self._q, self._v, stamp_ns - self._stamp_ns
         self._q, self._v, self._stamp_ns = positions, speeds, stamp_ns

@@ -41,7 +41,7 @@ class MovingArm:
 def test_an_arm_with_noise_is_believed_even_in_contact(speed):
     arm = MovingArm(speed)
     for _ in range(3000):
-        assert not arm.check.update(*arm.read(), TOUCHED, arm.stamp_ns)
+        assert not arm.check.update(*arm.read(), None, TOUCHED, arm.stamp_ns)
 
 
 def test_gaps_jumps_of_the_clock_and_unknown_torques_are_no_reason():
@@ -49,7 +49,7 @@ def test_gaps_jumps_of_the_clock_and_unknown_torques_are_no_reason():
     for number in range(600):
         q, v = arm.read(ticks=30 if number % 50 == 0 else 1 + number % 3)
         arm.stamp_ns += (number == 300) * SECOND_NS - (number == 400) * SECOND_NS
-        assert not arm.check.update(q, v, None, arm.stamp_ns)
+        assert not arm.check.update(q, v, None, None, arm.stamp_ns)
 
 
 @pytest.mark.parametrize(("joint", "period_ms", "latest"), [(0, 1, 70), (6, 5, 75)])
@@ -59,7 +59,7 @@ def test_a_stuck_position_of_a_moving_joint_whose_speed_is_reported_is_named_at_
     for _ in range(500):
         q, v = arm.read()
         q[joint], v[joint] = stuck, 0.4
-        wrong = arm.check.update(q, v, REST, arm.stamp_ns)
+        wrong = arm.check.update(q, v, None, REST, arm.stamp_ns)
         if wrong:
             break
     assert wrong.startswith(f"position and velocity of lbr_A{joint + 1} differ by -0.02")
@@ -73,7 +73,7 @@ def test_a_joint_that_stays_while_torque_acts_on_it_is_named(noise):
     for number in range(2 * FROZEN_TIME):
         q, v = arm.read()
         q[3], v[3] = HOME[3], 0.0
-        wrong = arm.check.update(q, v, TOUCHED, arm.stamp_ns)
+        wrong = arm.check.update(q, v, None, TOUCHED, arm.stamp_ns)
         assert bool(wrong) == (number >= FROZEN_TIME)
     assert wrong.startswith("the position of lbr_A4 has not changed for ")
 
