@@ -58,13 +58,14 @@ class BagReader:
 
     def __init__(self, path: Path | str, of_stack: bool = False) -> None:
         self.path = Path(path)
-        # Not Path.exists, which raises for a name that is too long.
-        if not os.path.exists(self.path):
-            raise BagError(f"bag '{self.path}' does not exist")
         self._notes: list[str] = []
-        paths = [self.path]
-        if self.path.is_dir():
-            paths = sorted(self.path.glob("*.mcap")) or sorted(self.path.glob("*.mcap.zstd"))
+        try:
+            os.stat(self.path)
+            paths = self._find_files() if self.path.is_dir() else [self.path]
+        except PermissionError as error:
+            raise BagError(f"bag '{self.path}' cannot be read: {error.strerror}") from error
+        except OSError as error:
+            raise BagError(f"bag '{self.path}' does not exist") from error
         if not paths:
             raise BagError(f"'{self.path}' is no bag with mcap files; `ros2 bag convert` can convert other recordings")
         self._files = self._open(paths)
@@ -125,6 +126,14 @@ class BagReader:
         if message is None:
             self._undecoded[raw.topic] += 1
         return message
+
+    def _find_files(self) -> list[Path]:
+        """Files of a bag's directory."""
+        names = sorted(os.listdir(self.path))
+        found = [name for name in names if name.endswith(".mcap")]
+        # Compressed as a whole, as of a recorder that was killed.
+        found += [name for name in names if name.endswith(".mcap.zstd") and name.removesuffix(".zstd") not in found]
+        return [self.path / name for name in sorted(found)]
 
     def _open(self, paths: Sequence[Path]) -> list[McapFile]:
         """Open the files that can be read; one that cannot becomes a note if there are others."""

@@ -380,9 +380,9 @@ def goal_distance(signals: EpisodeSignals, arm: Arm, period: float = 0.01) -> Se
     time, positions = signals.position.time, signals.position.values
     if not len(signals.goals.time) or not len(time):
         return Series(np.empty(0), ("distance",), np.empty((0, 1)))
-    wanted = np.arange(time[0], time[-1] + period / 2, period)
-    # A thousandth earlier, so that rounding does not skip a joint state at exactly this time.
-    rows = np.unique(np.clip(np.searchsorted(time, wanted - 1e-3 * period), 0, len(time) - 1))
+    # The first joint state of each period, and the last of all; a stamp far from all others makes no more of them.
+    _, rows = np.unique(np.floor((time - time[0]) / period + 1e-3), return_index=True)
+    rows = np.union1d(rows, [len(time) - 1])
     rows = rows[np.all(np.isfinite(positions[rows]), axis=1)]
     in_force = np.maximum(np.searchsorted(signals.goals.time, time[rows], side="right") - 1, 0)
     away = tip_positions(arm, positions[rows]) - signals.goals.values[in_force]

@@ -22,7 +22,7 @@ from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.reexecution.inputs import BUDGET, recorded_sections
 from contact_reach_ros.resources import config_file, write_text
-from contact_reach_ros.settings import DEFAULT_PARAMETERS, read_yaml
+from contact_reach_ros.settings import DEFAULT_PARAMETERS, ROBOT, read_yaml
 from contact_reach_ros.timing import NANOSECONDS
 
 OUTPUT = Path("identified.yaml")
@@ -71,6 +71,8 @@ def run_identification(
     """
     if bags:
         read = [_read(bag) for bag in bags]
+        if len({str(sorted(_arm_settings(own.get(_OBSERVER, {})).items())) for _, own in read}) > 1:
+            raise InputError(f"{', '.join(map(str, bags))}: expected recordings of one arm with one tool")
         recordings, settings, source = [each for each, _ in read], read[0][1], ", ".join(map(str, bags))
     else:
         recording, settings = excite()
@@ -90,6 +92,10 @@ def run_identification(
     file, budget_file = write(found, base, output, source)
     print(f"written: {file} and {budget_file}; use them with: contact-reach up --parameters {file}")
     return 0
+
+
+def _arm_settings(own: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in own.items() if name in (ROBOT.name, *TOOL_PARAMETERS)}
 
 
 def _read(bag: Path) -> RecordedMotion:

@@ -59,6 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(f"{REPLAY}: {note}", file=sys.stderr)
         if not 0.0 <= options.start <= reader.duration:
             raise InputError(f"--start {options.start:g}: expected 0 to {reader.duration:.3f} s, which the bag has")
+        if options.loop and not options.start < reader.duration:
+            raise InputError(f"--loop: nothing lasts from --start {options.start:g} on; expected an earlier start")
         chosen = choose_topics(reader, options.topics)
         stopped = threading.Event()
         # ROS ignores arguments that are not its own.

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError
@@ -53,7 +53,7 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
             print(f"note: {lacking}")
         differs |= not compared
     if file is not None:
-        write_text(file, json.dumps(report, indent=2) + "\n")
+        write_text(file, json.dumps(_finite(report), indent=2, allow_nan=False) + "\n")
     return DIFFERENT if differs else IDENTICAL
 
 
@@ -73,13 +73,22 @@ def _print(found: Loop, inputs: RecordedInputs, other: Path | None) -> None:
         print(f"{'':11} note: {note}")
 
 
+def _finite(value: Any) -> Any:
+    """The same with None for numbers that JSON does not have."""
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def _as_json(found: Loop, inputs: RecordedInputs) -> dict[str, Any]:
     first = found.first_difference
     return {
         "outputs": found.outputs,
         "compared": found.compared,
         "identical": first is None if found.compared else None,
-        "largest_difference_Nm": found.largest_difference if np.isfinite(found.largest_difference) else None,
+        "largest_difference_Nm": found.largest_difference,
         "first_difference": None if first is None else first._asdict() | {"text": first.text(inputs.origin_ns)},
         "stop_reasons": list(found.reasons),
         "notes": list(found.notes),

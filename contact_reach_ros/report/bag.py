@@ -135,7 +135,7 @@ class Episode:
         self.distance = goal_distance(signals, arm)
         self.has_goal = bool(len(self.distance.time))
         self.start = float(signals.goals.time[0]) if self.has_goal else 0.0
-        last = min(float(position.time[-1]), end, self.start + timeout)
+        last = min(float(position.time.max()), end, self.start + timeout)
         settled = signals.settled[(signals.settled >= self.start) & (signals.settled <= last)]
         self.reached = float(settled[0]) if self.has_goal and len(settled) else float("nan")
         self.end = float(np.fmin(last, self.reached + settle))
@@ -211,20 +211,23 @@ class ReportBag:
         if lost.isdigit() and int(lost):
             notes.append(f"{lost} messages were lost while the bag was recorded")
         # Behind an adapter the controller's own topic may be all there is.
-        there = {*reader.topics, *(f"/{COMMANDS[-1]}" for name in COMMANDS if f"/{name}" in reader.topics)}
+        there = {name for name, topic in reader.topics.items() if topic.message_count}
+        there |= {f"/{COMMANDS[-1]}" for name in COMMANDS if f"/{name}" in there}
         missing = [topic for topic in _EXPECTED if f"/{topic}" not in there]
         notes += [f"topic {topic} is missing: no {_EXPECTED[topic]}" for topic in missing]
         # Reading has found some, too.
         notes = [*reader.notes, *notes, *signals.notes, *of_settings]
         calls = [event.time for event in signals.safety if event.message == CALLED]
-        end = min([*calls, *signals.position.time[-1:]], default=np.inf)
+        # One before the goal ends nothing.
+        ends = [time for time in calls if time >= min(signals.goals.time, default=-np.inf)]
+        end = min([*ends, max(signals.position.time, default=np.inf)])
         self.episode: Episode | None = None
         try:
             self.episode = Episode(signals, self.arm, end, timeout, settle)
         except BagError as error:
             notes.append(f"no verdict: {error}")
         self.zero = self.episode.start if self.episode is not None else 0.0
-        self.verdict, self.good = _verdict(signals, self.episode, end, is_known="/goal/state" in reader.topics)
+        self.verdict, self.good = _verdict(signals, self.episode, end, is_known="/goal/state" in there)
         self.notes = tuple(dict.fromkeys(notes))
 
     @property
@@ -262,7 +265,8 @@ def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
     missed = signals.missed_ticks.between(-np.inf, end).values
     took = signals.plans.between(-np.inf, end).column("took ms")
     # Deviation of each tick from its time after the one before.
-    period_ns = NANOSECONDS / signals.settings.get("driver", {}).get(RATE.name, RATE.default)
+    rate = signals.settings.get("driver", {}).get(RATE.name, RATE.default)
+    period_ns = NANOSECONDS / rate if isinstance(rate, (int, float)) and rate > 0 else np.nan
     jitter_us = np.abs(np.diff(signals.state_sent_ns) - period_ns) / 1000.0
     left = episode.distance.between(-np.inf, end).values[-1:] if episode is not None else np.zeros(0)
     return {

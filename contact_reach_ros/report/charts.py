@@ -11,7 +11,7 @@ import numpy as np
 from contact_reach_ros.arm import Array
 from contact_reach_ros.bags.signals import Series
 from contact_reach_ros.palette import BLACK, BLUE, GREEN, GREY, JOINT_COLOURS, ORANGE, VERMILION
-from contact_reach_ros.report.bag import ReportBag
+from contact_reach_ros.report.bag import ReportBag, largest
 from contact_reach_ros.world.goal import TOLERANCE
 
 Chart = dict[str, Any]
@@ -57,16 +57,16 @@ def contact_chart(bag: ReportBag) -> Chart:
         data.append({**link, "visible": "legendonly"})
     permitted = bag.budget.permitted_force
     data.append(_level(bag, permitted, f"permitted, {permitted:g} N", VERMILION))
-    top = 1.15 * max(permitted, float(np.nanmax(force.column("sum"), initial=0.0)))
+    top = 1.15 * float(np.fmax(permitted, largest(force.column("sum"))))
     return _chart(bag, data, "contact force [N]", range=[0.0, top])
 
 
 def external_torque_chart(bag: ReportBag) -> Chart:
     """External torque of each joint against the threshold that stops the arm at rest."""
     thresholds = np.array(bag.budget.torque_thresholds)
-    largest = float(np.nanmax(np.abs(bag.signals.external_torque.values), initial=0.0))
+    greatest = largest(np.abs(bag.signals.external_torque.values))
     # The nearest threshold stays in view; thresholds far above would flatten the curves.
-    shown = 1.15 * max(largest, float(thresholds.min()))
+    shown = 1.15 * float(np.fmax(thresholds.min(), greatest))
     data = _joint_curves(bag, bag.signals.external_torque, "Nm", -thresholds, thresholds, "stops the arm")
     return _chart(bag, data, "external torque [Nm]", range=[-shown, shown])
 
@@ -74,7 +74,7 @@ def external_torque_chart(bag: ReportBag) -> Chart:
 def command_chart(bag: ReportBag) -> Chart:
     """Commanded torque of each joint against its limit."""
     limits = bag.torque_limits
-    shown = 1.15 * float(np.nanmax(np.abs(bag.signals.command.values), initial=1.0))
+    shown = 1.15 * float(np.fmax(1.0, largest(np.abs(bag.signals.command.values))))
     data = _joint_curves(bag, bag.signals.command, "Nm", -limits, limits, "limit")
     return _chart(bag, data, "commanded torque [Nm]", range=[-shown, shown])
 

@@ -56,7 +56,8 @@ def run_report(bags: Sequence[Path], output: Path | None = None, file: Path | No
         raise failures[0]
     for failure in failures:
         print(f"left out: {failure}")
-    output = output or read[0].path.with_suffix(".html")
+    whole = read[0].path.resolve()
+    output = output or whole.with_name(f"{_stem(whole)}.html")
     write_text(output, page(read, [str(failure) for failure in failures]))
     if file is not None:
         write_text(file, json.dumps({"bags": [as_json(bag) for bag in read]}, indent=2, allow_nan=False) + "\n")
@@ -101,7 +102,12 @@ def _label(path: Path, paths: Sequence[Path]) -> str:
     """The bag's name; with the folder where two have the same."""
     path = path.resolve()
     same = sum(other.resolve().name == path.name for other in paths) > 1
-    return f"{path.parent.name}_{path.stem}" if same else path.stem
+    return f"{path.parent.name}_{_stem(path)}" if same else _stem(path)
+
+
+def _stem(path: Path) -> str:
+    """The name of a bag, which may have dots of its own."""
+    return path.name.removesuffix(".mcap")
 
 
 _SECTIONS = (

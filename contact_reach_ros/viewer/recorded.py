@@ -29,6 +29,8 @@ _CONTACT_FORCE = 0.5
 """True force that counts as a contact, N."""
 _STREAM_S = 1.0
 """Time to the goal before within which a goal is no event of its own, s."""
+_LONGEST = 86400.0
+"""Time from the middle joint state from which on a stamp is wrong, s."""
 _CONTACT_PAUSE = 0.3
 """Time without contact after which the next contact is a new one, s."""
 
@@ -69,8 +71,10 @@ class Recording:
         self._signals = signals = read_signals(self._reader, self.arm)
         position = signals.position
         # States with unknown joints, and repeated states, are not moments to look at.
-        good = np.asarray(np.isfinite(position.values).all(axis=1))
-        good[1:] &= position.time[1:] > np.maximum.accumulate(position.time)[:-1]
+        middle = np.median(position.time) if len(position.time) else 0.0
+        near = np.abs(position.time - middle) < _LONGEST
+        good = near & np.isfinite(position.values).all(axis=1)
+        good[1:] &= position.time[1:] > np.maximum.accumulate(np.where(near, position.time, -np.inf))[:-1]
         if not good.any():
             raise BagError(f"{self.path}: holds no joint states of the arm; record joint_states")
         self.ticks, self._q = position.time[good], position.values[good]
