@@ -341,7 +341,11 @@ def as_json(bag: ReportBag) -> dict[str, Any]:
 
 
 def _verdict(signals: EpisodeSignals, episode: Episode | None, end: float, is_known: bool) -> tuple[str, bool]:
-    stop = next((event for event in signals.safety if event.is_stop and event.time < end), None)
+    start = episode.start if episode is not None and episode.has_goal else -np.inf
+    # One that was released before the goal ends nothing.
+    held = {event.name: event for event in signals.safety if event.time < start}
+    events = [*held.values(), *(event for event in signals.safety if start <= event.time < end)]
+    stop = next((event for event in events if event.is_stop), None)
     if stop is not None:
         return f"stopped by the {stop.name}: {stop.message}", False
     if episode is None or not episode.has_goal:

@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,13 @@ from contact_reach_command import contact_reach
 from plotly.offline import get_plotlyjs
 
 from contact_reach_ros.bags import signals as bag_signals
+from contact_reach_ros.bags.columns import Arrays, Column
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent
+from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent, Series
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.report import bag as report_bag
-from contact_reach_ros.report.bag import ReportBag, metrics
+from contact_reach_ros.report.bag import CALLED, ReportBag, metrics
 from contact_reach_ros.report.charts import BINS, envelope
 from contact_reach_ros.report.page import page
 from contact_reach_ros.resources import share_directory
@@ -127,6 +129,38 @@ def test_a_stop_is_the_verdict(signals: EpisodeSignals) -> None:
     assert found.verdict == "stopped by the observer: too much torque" and not found.good
 
 
+def test_a_stop_before_the_goal_that_was_released_is_not(signals: EpisodeSignals) -> None:
+    begin = signals.goals.time[0]
+    stop = SafetyEvent(begin - 0.5, 2, "controller", CALLED, True)
+    held = SafetyEvent(begin - 0.3, 0, "controller", "holding", False)
+    found = report_of(dataclasses.replace(signals, safety=(stop, held)))
+    assert found.good and len(found.episode.distance.time) > 100
+    assert not report_of(dataclasses.replace(signals, safety=(stop,))).good
+
+
+def test_odd_stamps_and_infinite_values_have_a_page(signals: EpisodeSignals) -> None:
+    position, torque = signals.position, signals.external_torque
+    time, values = position.time.copy(), torque.values.copy()
+    time[-1], values[100, 3] = 1.7e9, np.inf
+    odd = dataclasses.replace(
+        signals,
+        position=Series(time, position.names, position.values),
+        external_torque=Series(torque.time, torque.names, values),
+        settings={"driver": {"state_rate": 0}},
+    )
+    found = report_of(odd)
+    assert found.good and "external torque [Nm]" in titles(page([found]))
+    assert metrics(found)["largest external torque"][0] < 100.0
+
+
+def test_bags_whose_names_have_dots_have_pages_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("v0.1", "v0.2"):
+        shutil.copytree(SAMPLE, tmp_path / name)
+    monkeypatch.chdir(tmp_path / "v0.1")
+    assert run(".") == run(tmp_path / "v0.2") == 0
+    assert {path.name for path in tmp_path.glob("*.html")} == {"v0.1.html", "v0.2.html"}
+
+
 def test_two_bags_side_by_side(sample: ReportBag) -> None:
     text = page([sample, changed(sample, label="second")])
     assert titles(text).count("joint angle [rad]") == 2
@@ -185,6 +219,14 @@ def test_of_a_long_bag_little_is_kept_and_its_numbers_are_the_same(
         assert np.isin(part.time, whole.time).all()
         for extreme in (np.nanmin, np.nanmax):
             np.testing.assert_array_equal(extreme(part.values, axis=0), extreme(whole.values, axis=0))
+
+
+def test_a_peak_is_kept_although_a_larger_one_is_near() -> None:
+    column, values, times = Arrays(1), np.zeros((1000, 1)), np.arange(1000)
+    column.stride = 10
+    values[[100, 500]] = [[20.0], [8.0]]
+    rows = column._needed(Column(times, times, times, times, ("0",), values, 0, 0))
+    assert {100, 500} <= set(rows.tolist()) and len(rows) <= 200
 
 
 def test_thinned_curves_keep_their_peaks_and_gaps() -> None:
