@@ -8,12 +8,13 @@ import math
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 
 CENTER, RADIUS, SPEED, RATE = (0.55, 0.0, 0.35), 0.1, 0.05, 20.0  # m, m/s, Hz
 
-rclpy.init()
+# With its own handler rclpy may end between two waits, with a traceback.
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 node = rclpy.create_node("moving_goal")
 goals = node.create_publisher(PoseStamped, "goal_pose", 10)
 latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -39,5 +40,5 @@ def send() -> None:
 node.create_timer(1.0 / RATE, send)
 try:
     rclpy.spin(node)
-except (KeyboardInterrupt, ExternalShutdownException):
+except KeyboardInterrupt:
     print()
