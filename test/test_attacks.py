@@ -291,6 +291,17 @@ class TestStatesThatLie:
         rig.robot.read = changed
         return rig
 
+    @staticmethod
+    def late(milliseconds: int) -> Callable[[JointState, float], JointState | None]:
+        """A change that hands states out so much later."""
+        waiting: list[JointState] = []
+
+        def change(state: JointState, _: float) -> JointState | None:
+            waiting.append(state)
+            return waiting.pop(0) if len(waiting) > milliseconds else None
+
+        return change
+
     def test_a_driver_that_repeats_its_last_state_moves_nothing(self):
         kept: list[JointState] = []
 
@@ -325,13 +336,7 @@ class TestStatesThatLie:
 
     def test_a_stop_with_late_states_hardly_drives_the_arm(self):
         """By 40 ms, where damping pushes."""
-        waiting: list[JointState] = []
-
-        def late(state: JointState, _: float) -> JointState | None:
-            waiting.append(state)
-            return waiting.pop(0) if len(waiting) > 40 else None
-
-        rig = self.rig(late)
+        rig = self.rig(self.late(40))
         rig.run(0.3)
         rig.stack.stop("test")
         fastest = 0.0
@@ -342,13 +347,7 @@ class TestStatesThatLie:
 
     def test_late_states_hardly_drive_an_arm_that_gives_way(self):
         """By 30 ms."""
-        waiting: list[JointState] = []
-
-        def late(state: JointState, _: float) -> JointState | None:
-            waiting.append(state)
-            return waiting.pop(0) if len(waiting) > 30 else None
-
-        rig = self.rig(late)
+        rig = self.rig(self.late(30))
         body = rig.add_body(TIP, np.zeros(3), UP, 0.0, CHEST)
         fastest, modes, before = 0.0, set(), rig.plant.tip_position
         for _ in range(1500):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -20,7 +19,7 @@ from contact_reach_ros.bags.columns import reading
 from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import LOST, RecordedTopic
-from contact_reach_ros.resources import write_text
+from contact_reach_ros.resources import write_json
 from contact_reach_ros.timing import NANOSECONDS
 
 _WIDE = 150
@@ -80,7 +79,7 @@ def bag_info(path: Path, file: Path | None) -> None:
     """
     info = read_info(path)
     if file is not None:
-        write_text(file, json.dumps(info, indent=2) + "\n")
+        write_json(file, info)
     console = Console()
     if not console.is_terminal:
         console.width = _WIDE

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 import time
 from contextlib import suppress
@@ -22,7 +21,7 @@ from contact_reach_ros.errors import BagError, ContactReachError, InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.goal_state import describe
 from contact_reach_ros.planning.goal_progress import GoalPhase
-from contact_reach_ros.resources import write_text
+from contact_reach_ros.resources import write_json
 from contact_reach_ros.ros.client import StackClient
 from contact_reach_ros.ros.interfaces import CONTROLLER, DEMO
 from contact_reach_ros.ros.process import bare_node
@@ -155,6 +154,6 @@ def _judge(bag: Path, options: DemoOptions) -> tuple[int, float]:
     for label, text in {"result": found.verdict, **quantities, "bag": bag, "plot": plot}.items():
         print(f"  {label:40}{text}")
     if options.json:
-        write_text(Path(options.json), json.dumps(as_json(found), indent=2, allow_nan=False) + "\n")
+        write_json(Path(options.json), as_json(found))
     missed, ticks = (numbers[name][0] for name in ("ticks missed", "ticks"))
     return (0 if found.good else 1), missed / (missed + ticks or 1.0)

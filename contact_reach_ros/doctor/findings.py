@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -13,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from contact_reach_ros.resources import write_text
+from contact_reach_ros.resources import write_json
 
 
 class Verdict(Enum):
@@ -92,7 +91,7 @@ def print_table(report: Report, console: Console) -> None:
     console.print(", ".join(f"{counts[verdict]} {verdict.value}" for verdict in Verdict))
 
 
-def write_json(report: Report, file: Path) -> None:
+def write_report(report: Report, file: Path) -> None:
     """Write {exit_code, verdicts: {pass, warn, fail}, checks: [{part, name, verdict, found, fix}]}."""
     counts = verdicts(report)
     content = {
@@ -104,4 +103,4 @@ def write_json(report: Report, file: Path) -> None:
             for name, finding in findings.items()
         ],
     }
-    write_text(file, json.dumps(content, indent=2) + "\n")
+    write_json(file, content)

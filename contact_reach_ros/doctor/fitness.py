@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import shutil
 import subprocess
 import sys
@@ -27,7 +26,7 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.values import numbers
 from contact_reach_ros.planning.goal_progress import GoalPhase
-from contact_reach_ros.resources import write_text
+from contact_reach_ros.resources import write_json
 from contact_reach_ros.ros.client import StackClient
 from contact_reach_ros.ros.interfaces import CONTROLLER, DRIVER
 from contact_reach_ros.ros.process import bare_node
@@ -82,7 +81,7 @@ def run_fitness(file: Path | None = None, seconds: float = 60.0, load: int = 0) 
     shutil.rmtree(directory)
     print_report(report)
     if file is not None:
-        write_text(file, json.dumps(report, indent=2) + "\n")
+        write_json(file, report)
 
 
 def _measure(

@@ -21,7 +21,7 @@ from contact_reach_ros.doctor.findings import (
     exit_code,
     failed,
     print_table,
-    write_json,
+    write_report,
 )
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.observer.budget import load_budget
@@ -42,7 +42,7 @@ def run_doctor(file: Path | None = None, **options: Any) -> int:
         report = examine(chosen)
     print_table(report, console)
     if file is not None:
-        write_json(report, file)
+        write_report(report, file)
     return exit_code(report)
 
 

@@ -71,7 +71,8 @@ def run_identification(
     """
     if bags:
         read = [_read(bag) for bag in bags]
-        if len({str(sorted(_arm_settings(own.get(_OBSERVER, {})).items())) for _, own in read}) > 1:
+        first, *others = (_of_arm(own.get(_OBSERVER, {})) for _, own in read)
+        if any(other != first for other in others):
             raise InputError(f"{', '.join(map(str, bags))}: expected recordings of one arm with one tool")
         recordings, settings, source = [each for each, _ in read], read[0][1], ", ".join(map(str, bags))
     else:
@@ -94,7 +95,8 @@ def run_identification(
     return 0
 
 
-def _arm_settings(own: Mapping[str, Any]) -> dict[str, Any]:
+def _of_arm(own: Mapping[str, Any]) -> dict[str, Any]:
+    """What settings say of arm and tool."""
     return {name: value for name, value in own.items() if name in (ROBOT.name, *TOOL_PARAMETERS)}
 
 

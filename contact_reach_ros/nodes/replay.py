@@ -30,6 +30,7 @@ BAD_INPUT = 2
 _RATES = (0.01, 100.0)
 _MATCHED_S = 1.0
 _ARRIVAL_S = 1.0
+_LEAST_LOOP_S = 0.1
 _STALLED_NS = 500_000_000
 """A longer delay, as of a process that was suspended with Ctrl-Z, is not made up for."""
 
@@ -59,8 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(f"{REPLAY}: {note}", file=sys.stderr)
         if not 0.0 <= options.start <= reader.duration:
             raise InputError(f"--start {options.start:g}: expected 0 to {reader.duration:.3f} s, which the bag has")
-        if options.loop and not options.start < reader.duration:
-            raise InputError(f"--loop: nothing lasts from --start {options.start:g} on; expected an earlier start")
+        left = reader.duration - options.start
+        if options.loop and left < _LEAST_LOOP_S:
+            raise InputError(f"--loop: {left:.3f} s are left to replay; expected at least {_LEAST_LOOP_S:g} s")
         chosen = choose_topics(reader, options.topics)
         stopped = threading.Event()
         # ROS ignores arguments that are not its own.

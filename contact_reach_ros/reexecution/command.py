@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +9,7 @@ from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.reexecution.inputs import RecordedInputs
 from contact_reach_ros.reexecution.loops import TOLERANCE, Loop, reexecute
-from contact_reach_ros.resources import write_text
+from contact_reach_ros.resources import write_json
 
 IDENTICAL, DIFFERENT = 0, 1
 
@@ -53,7 +50,7 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
             print(f"note: {lacking}")
         differs |= not compared
     if file is not None:
-        write_text(file, json.dumps(_finite(report), indent=2, allow_nan=False) + "\n")
+        write_json(file, report)
     return DIFFERENT if differs else IDENTICAL
 
 
@@ -71,15 +68,6 @@ def _print(found: Loop, inputs: RecordedInputs, other: Path | None) -> None:
         print(f"{'':11} stops: {reason}")
     for note in found.notes:
         print(f"{'':11} note: {note}")
-
-
-def _finite(value: Any) -> Any:
-    """The same with None for numbers that JSON does not have."""
-    if isinstance(value, Mapping):
-        return {key: _finite(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _as_json(found: Loop, inputs: RecordedInputs) -> dict[str, Any]:

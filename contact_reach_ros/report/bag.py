@@ -319,15 +319,12 @@ def number(value: float) -> str:
 
 
 def as_json(bag: ReportBag) -> dict[str, Any]:
-    """All numbers, for JSON; None where unknown."""
+    """All numbers, for JSON; NaN where unknown."""
     return {
         "bag": str(bag.path),
         "verdict": bag.verdict,
         "good": bag.good,
-        "metrics": {
-            name: {"value": value if np.isfinite(value) else None, "unit": unit}
-            for name, (value, unit) in metrics(bag).items()
-        },
+        "metrics": {name: {"value": value, "unit": unit} for name, (value, unit) in metrics(bag).items()},
         "events": [
             {"time_s": event.time - bag.zero, "level": event.level, "source": event.name, "message": event.message}
             for event in bag.signals.safety

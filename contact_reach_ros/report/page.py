@@ -12,7 +12,7 @@ from jinja2 import Environment, FileSystemLoader
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.report import charts
 from contact_reach_ros.report.bag import ReportBag, as_json, metrics, number, quantity
-from contact_reach_ros.resources import write_text
+from contact_reach_ros.resources import write_json, write_text
 
 _TEMPLATES = Path(__file__).with_name("template")
 _LEVELS = {0: "ok", 1: "contact", 2: "stop", 3: "stale"}
@@ -60,7 +60,7 @@ def run_report(bags: Sequence[Path], output: Path | None = None, file: Path | No
     output = output or whole.with_name(f"{_stem(whole)}.html")
     write_text(output, page(read, [str(failure) for failure in failures]))
     if file is not None:
-        write_text(file, json.dumps({"bags": [as_json(bag) for bag in read]}, indent=2, allow_nan=False) + "\n")
+        write_json(file, {"bags": [as_json(bag) for bag in read]})
     for bag in read:
         print(f"{bag.label}: {bag.verdict}")
         for note in bag.notes:

@@ -75,6 +75,16 @@ def test_a_file_that_is_compressed_as_a_whole_is_refused_with_what_to_do(sample:
             BagReader(path)
 
 
+def test_one_beside_others_is_noted(sample: SampleBag) -> None:
+    packed = sample.directory / "another_0.mcap.zstd"
+    packed.write_bytes(zstandard.compress(sample.file.read_bytes()))
+    reader = BagReader(sample.directory)
+    assert reader.message_count and any(f"zstd -d {packed}" in note for note in reader.notes)
+    # Of one that is there decompressed as well there is nothing to say.
+    packed.rename(sample.file.with_suffix(".mcap.zstd"))
+    assert BagReader(sample.directory).notes == ()
+
+
 def test_files_whose_times_overlap_are_read_in_the_order_of_reception(tmp_path: Path) -> None:
     first, second = SampleBag(tmp_path / "first", 40), SampleBag(tmp_path / "second", 60)
     shutil.copy(second.file, first.directory / "first_1.mcap")

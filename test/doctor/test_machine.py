@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from contact_reach_ros.doctor import machine
-from contact_reach_ros.doctor.findings import Verdict, exit_code, failed, graded, print_table, write_json
+from contact_reach_ros.doctor.findings import Verdict, exit_code, failed, graded, print_table, write_report
 from contact_reach_ros.errors import InputError
 
 
@@ -17,14 +17,14 @@ def test_report(tmp_path, capsys):
     print_table(report, Console(width=80))
     printed = capsys.readouterr().out
     assert "good [0, 1]" in printed and "fix: mend it" in printed and "1 pass, 0 warn, 1 fail" in printed
-    write_json(report, tmp_path / "report.json")
+    write_report(report, tmp_path / "report.json")
     content = json.loads((tmp_path / "report.json").read_text())
     assert content["exit_code"] == 1 and content["verdicts"] == {"pass": 1, "warn": 0, "fail": 1}
     good, bad = content["checks"]
     assert good == {"part": "part", "name": "a", "verdict": "pass", "found": "good [0, 1]", "fix": ""}
     assert bad["fix"] == "mend it"
     with pytest.raises(InputError, match=r"report\.json/a' cannot be written: .*; name a file"):
-        write_json(report, tmp_path / "report.json" / "a")
+        write_report(report, tmp_path / "report.json" / "a")
 
 
 def test_refused_priority_names_the_limit_to_raise(monkeypatch):

@@ -1,6 +1,7 @@
 """Identification of an arm from its motion with noise, and what is written of it."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from motions import ARM, COULOMB, OFFSET, VISCOUS, recording
 
 from contact_reach_ros.arm.tool import NO_TOOL, Tool
 from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.identification import command
 from contact_reach_ros.identification.command import describe, write
 from contact_reach_ros.identification.identify import identify
 from contact_reach_ros.observer.budget import ContactBudget, load_budget
@@ -92,6 +94,14 @@ def test_the_files_are_those_that_nodes_read(found, tmp_path):
     text = describe(found, ARM, BUDGET)
     assert f"tool: {found.tool.mass:.3f} ± 0.00" in text and "contact_thresholds, Nm" in text
     assert f"falls to {found.rms_ratio:.2f} of before" in text
+
+
+@pytest.mark.parametrize("other", [{"robot": "fr3"}, {"tool.mass": 1.0}])
+def test_recordings_of_another_arm_or_tool_are_refused(other, tmp_path, monkeypatch):
+    settings = iter([{"robot": "iiwa14", "tool.mass": 0.5}, {"robot": "iiwa14", "tool.mass": 0.5} | other])
+    monkeypatch.setattr(command, "_read", lambda bag: (None, {"observer": next(settings)}))
+    with pytest.raises(InputError, match="first, second: expected recordings of one arm with one tool"):
+        command.run_identification(None, [Path("first"), Path("second")], False, tmp_path / "mine.yaml")
 
 
 def test_what_does_not_fit_together_is_refused(tmp_path, found):

@@ -109,6 +109,7 @@ def test_a_type_that_is_not_installed_is_left_out(bag, capsys):
     [
         (["--rate", "0"], "--rate 0: expected 0.01 to 100"),
         (["--start", "9"], "--start 9: expected 0 to 0.400 s"),
+        (["--start", "0.35", "--loop"], "--loop: 0.050 s are left to replay; expected at least 0.1 s"),
         (["--topics", "nothing"], "no such topic; it has /effort_controller/commands, /joint_states"),
         (["--ros-args", "-r", "no rule"], "ROS refused the arguments"),
     ],
