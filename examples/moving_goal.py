@@ -4,6 +4,8 @@ Start a stack beside it (contact-reach up), then run this; Ctrl-C ends the strea
 """
 
 import math
+import signal
+import threading
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -13,7 +15,9 @@ from rclpy.signals import SignalHandlerOptions
 
 CENTER, RADIUS, SPEED, RATE = (0.55, 0.0, 0.35), 0.1, 0.05, 20.0  # m, m/s, Hz
 
-# With its own handler rclpy may end between two waits, with a traceback.
+ended = threading.Event()
+signal.signal(signal.SIGINT, lambda *_: ended.set())
+# With its own handlers rclpy may end between two waits, with a traceback.
 rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 node = rclpy.create_node("moving_goal")
 goals = node.create_publisher(PoseStamped, "goal_pose", 10)
@@ -38,7 +42,6 @@ def send() -> None:
 
 
 node.create_timer(1.0 / RATE, send)
-try:
-    rclpy.spin(node)
-except KeyboardInterrupt:
-    print()
+while not ended.is_set():
+    rclpy.spin_once(node)
+print()

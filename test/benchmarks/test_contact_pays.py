@@ -19,16 +19,13 @@ from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions, sphere_capacity
 
 SEED, CLUTTER = 0, 493
-NEAREST = 6
-"""Spheres that plans take into account in the clutter: half of them, which compile in half the time."""
 
 
-def run(name, scene, goal, timeout, until_settled, spheres=None):
+def run(name, scene, goal, timeout, until_settled):
     """How a method ends with what the nodes run, and a number of steps in place of deadlines."""
-    spheres = sphere_capacity(scene) if spheres is None else spheres
     shipped, force = preset("shipped", scene.arm), cr.ContactBudget().permitted_force
     planning = dataclasses.replace(shipped.planning, deadline=0.0, max_steps=DEADLINE_STEPS)
-    method = make_method(scene.arm, name, spheres, force, SEED, planning, shipped.controller)
+    method = make_method(scene.arm, name, sphere_capacity(scene), force, SEED, planning, shipped.controller)
     stack = cr.Stack(scene, **shipped._replace(controller=method.settings)._asdict(), planner=method.planner)
     return stack.run(goal, timeout=timeout, until_settled=until_settled)
 
@@ -60,9 +57,9 @@ def test_the_planner_settles_in_random_clutter_that_only_contact_leads_through()
     file, permitted = clutter_scene(ARM, CLUTTER), cr.ContactBudget().permitted_force
     scene = make_scene(file, ARM, CLUTTER)
     assert classify(ARM, scene, permitted).kind is Kind.CONTACT
-    ours = run("contact_reach", scene, scene.goal, 8.0, until_settled=True, spheres=NEAREST)
+    ours = run("contact_reach", scene, scene.goal, 10.0, until_settled=True)
     assert ours.settled and 0.0 < ours.max_contact_force <= permitted
-    assert not run("reference_posture", scene, scene.goal, 8.0, until_settled=True, spheres=NEAREST).settled
+    assert not run("reference_posture", scene, scene.goal, 10.0, until_settled=True).settled
 
 
 @pytest.mark.slow
