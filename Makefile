@@ -7,6 +7,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check
 
+# Where this is set, as in many container images, each process would compile all that it imports: half of its start.
+unexport PYTHONDONTWRITEBYTECODE
+
 # A sourced ROS 2 provides rclpy through PYTHONPATH, also inside .venv; otherwise rclpy comes as wheels.
 SOURCED := $(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH))
 EXTRAS := benchmarks$(comma)$(if $(SOURCED),test,ros$(comma)test)

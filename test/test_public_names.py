@@ -34,6 +34,15 @@ def test_importing_the_package_imports_nothing_that_takes_time():
     assert python(code) == "[]\n"
 
 
+@pytest.mark.parametrize(
+    "module", ["nodes.observer", "nodes.driver", "nodes.recorder", "nodes.planner", "bringup.demo"]
+)
+def test_no_process_of_the_stack_loads_scipy_to_start(module):
+    """It would be a third of the start of most of them."""
+    code = f"import sys, contact_reach_ros.{module}; print([name for name in sys.modules if name.startswith('scipy.')][:5])"
+    assert python(code) == "[]\n"
+
+
 def test_controller_and_observer_need_neither_simulator_nor_planner():
     code = """
 import sys

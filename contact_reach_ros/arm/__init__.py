@@ -12,10 +12,10 @@ from contact_reach_ros.arm.joint_state import (
 from contact_reach_ros.arm.kinematics import (
     link_frames,
     link_frames_of_many,
-    rotation_from_quaternion,
     tensor_matrix,
     tip_positions,
 )
+from contact_reach_ros.arm.rotations import quaternion_from_rotation, rotation_from_quaternion
 
 __all__ = [
     "BLIND_AFTER",
@@ -32,6 +32,7 @@ __all__ = [
     "checked_torque",
     "link_frames",
     "link_frames_of_many",
+    "quaternion_from_rotation",
     "rotation_from_quaternion",
     "tensor_matrix",
     "tip_positions",

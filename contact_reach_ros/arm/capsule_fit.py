@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import cdist
 
 from contact_reach_ros.arm.arm import Array
-from contact_reach_ros.arm.kinematics import frame_about
+from contact_reach_ros.arm.rotations import frame_about
 
 POOR = 2.5
 """Volume of a capsule, in those of its shapes' convex hull, above which it is a poor fit."""

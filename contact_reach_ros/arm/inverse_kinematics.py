@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pinocchio as pin
 
 from contact_reach_ros.arm.arm import Arm, Array
 from contact_reach_ros.arm.capsules import segment_distances
@@ -116,5 +116,5 @@ def pose_errors(
         turn *= (np.arctan2(sine, cosine) / np.maximum(sine, 1e-9))[:, None]
         turn = np.einsum("nik,nk->ni", across, turn)
     else:
-        turn = Rotation.from_matrix(frames[-1].transpose(2, 1, 0) @ rotation.T).as_rotvec()
+        turn = np.array([pin.log3(each) for each in frames[-1].transpose(2, 1, 0) @ rotation.T]).reshape(-1, 3)
     return np.concatenate([offset, turn], axis=1), jacobians

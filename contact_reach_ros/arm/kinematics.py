@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arm import Arm, Array, Vector3
+from contact_reach_ros.arm.rotations import rotation_from_quaternion
 from contact_reach_ros.errors import SettingsError
 
 POSE, AXIS, POSITION = "pose", "position_and_axis", "position"
@@ -17,33 +18,8 @@ TASK_ROWS = {POSE: 6, AXIS: 5, POSITION: 3}
 _POSTURES = 200
 _LEAST_QUALITY = 0.02
 """Smallest singular value, with lengths in units of the reach, from which a Jacobian has full rank."""
-_AT_ONCE = 1e-12
-"""Angle between an axis and -z that is a rounding error, rad."""
 _MANY = 10_000
 """Postures at once."""
-
-
-def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
-    """Rotation matrix (3, 3) of a quaternion (w, x, y, z), which need not be normalised."""
-    w, x, y, z = np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def frame_about(axis: Array) -> Array:
-    """The smallest rotation (3, 3) that turns z into the direction of `axis` (3,); exact for ±x, ±y and ±z."""
-    x, y, z = axis / np.linalg.norm(axis)
-    across = x * x + y * y
-    if z < 0.0 and across < _AT_ONCE**2:
-        return np.diag([1.0, -1.0, -1.0])
-    # The same for both; the one for z < 0 does not lose digits near -1.
-    share = 1.0 / (1.0 + z) if z >= 0.0 else (1.0 - z) / across
-    return np.array([[1.0 - share * x * x, -share * x * y, x], [-share * x * y, 1.0 - share * y * y, y], [-x, -y, z]])
 
 
 @functools.cache

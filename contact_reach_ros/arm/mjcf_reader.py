@@ -8,12 +8,12 @@ from xml.etree.ElementTree import Element, SubElement
 import mujoco
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Array, Inertia
 from contact_reach_ros.arm.kinematics import tensor_values, vector
 from contact_reach_ros.arm.mjcf import numbers
 from contact_reach_ros.arm.robot_file import POINTS
+from contact_reach_ros.arm.rotations import rotation_from_quaternion
 from contact_reach_ros.arm.urdf import add_inertial, add_joint, add_origin
 from contact_reach_ros.arm.urdf_tree import RANGE
 from contact_reach_ros.errors import SettingsError
@@ -176,4 +176,4 @@ def _hull(model: mujoco.MjModel, mesh: int) -> Array:
 
 
 def _place(position: Array, quaternion: Array) -> pin.SE3:
-    return pin.SE3(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), np.array(position))
+    return pin.SE3(rotation_from_quaternion(quaternion), np.array(position))

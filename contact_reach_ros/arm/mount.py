@@ -8,11 +8,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import STANDING, Arm, Array, Vector3
 from contact_reach_ros.arm.kinematics import vector
+from contact_reach_ros.arm.rotations import quaternion_from_rotation, rotation_from_quaternion
 
 _DIGITS = 12
 """Decimals of gravity: an arm that only turns about the vertical has the same digest on every machine."""
@@ -29,7 +30,7 @@ def gravity_of(base: Array, gravity: ArrayLike = STANDING) -> Vector3:
 
 def mounted(angles: Vector3) -> Vector3:
     """Gravity, m/s², in the axes of a base that is turned by roll, pitch and yaw, rad, as URDFs write rotations."""
-    return gravity_of(Rotation.from_euler("xyz", angles).as_matrix())
+    return gravity_of(pin.rpy.rpyToMatrix(*angles))
 
 
 def tilt(arm: Arm) -> float:
@@ -97,9 +98,9 @@ def standing(arm: Arm) -> Arm:
     def inward(point: Vector3) -> Vector3:
         return vector(frame.inward(np.array(point)))
 
-    first, turn = arm.joints[0], Rotation.from_matrix(frame.rotation).inv()
-    rotation = (turn * Rotation.from_quat(first.rotation, scalar_first=True)).as_quat(scalar_first=True)
-    placed = dataclasses.replace(first, offset=inward(first.offset), rotation=tuple(rotation.tolist()))
+    first = arm.joints[0]
+    rotation = quaternion_from_rotation(frame.rotation.T @ rotation_from_quaternion(first.rotation))
+    placed = dataclasses.replace(first, offset=inward(first.offset), rotation=rotation)
     fixed = (dataclasses.replace(each, start=inward(each.start), end=inward(each.end)) for each in arm.base_capsules)
     return dataclasses.replace(
         arm,

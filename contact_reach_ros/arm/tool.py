@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm.arm import Arm, Capsule, Inertia
 from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
+from contact_reach_ros.arm.rotations import quaternion_from_rotation, rotation_from_quaternion
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Settings, setting
 
@@ -85,10 +85,10 @@ def attach(arm: Arm, tool: Tool) -> Arm:
     if tool == NO_TOOL:
         return arm
     way, angles = tool.flange_to_tip[:3], tool.flange_to_tip[3:]
-    turn = Rotation.from_quat(arm.tip_rotation, scalar_first=True)
-    flange = pin.SE3(turn.as_matrix(), np.array(arm.tip_offset, float))
+    turn = rotation_from_quaternion(arm.tip_rotation)
+    flange = pin.SE3(turn, np.array(arm.tip_offset, float))
     tip = _rounded(flange.act(np.array(way)))
-    turned = _rounded((turn * Rotation.from_euler("xyz", angles)).as_quat(scalar_first=True))
+    turned = _rounded(quaternion_from_rotation(turn @ pin.rpy.rpyToMatrix(*angles)))
     carried = flange.act(pin.Inertia(tool.mass, np.array(tool.center), tensor_matrix(tool.inertia)))
     inertia_sets = {
         name: (*inertias[:-1], _together(inertias[-1], carried)) if tool.mass else inertias

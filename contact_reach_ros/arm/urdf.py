@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 
 from contact_reach_ros.arm.arm import Arm, Capsule, Inertia
-from contact_reach_ros.arm.kinematics import frame_about, rotation_from_quaternion
 from contact_reach_ros.arm.mjcf import numbers
 from contact_reach_ros.arm.mount import scene_frame, tilt
+from contact_reach_ros.arm.rotations import frame_about, rotation_from_quaternion
 from contact_reach_ros.arm.urdf_tree import LIMITS, TENSOR
 
 

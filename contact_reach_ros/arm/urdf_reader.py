@@ -13,17 +13,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import assumptions
 from contact_reach_ros.arm.arm import Arm, Array, Inertia, Joint
 from contact_reach_ros.arm.capsule_fit import Fit
-from contact_reach_ros.arm.kinematics import frame_about, tensor_matrix, tensor_values, vector
+from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values, vector
 from contact_reach_ros.arm.link_capsules import Part, link_capsules
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.mount import gravity_of, in_words
 from contact_reach_ros.arm.plausibility import LEAST_EFFORT, Faults, check_inertia, check_weight, doubts, is_body
 from contact_reach_ros.arm.robot_file import DESCRIPTIONS, find_mesh, read_robot_file
+from contact_reach_ros.arm.rotations import frame_about, quaternion_from_rotation
 from contact_reach_ros.arm.table import (
     ARMATURE,
     MAX_JOINTS,
@@ -370,8 +370,8 @@ def _grips(joint: UrdfJoint) -> bool:
 
 def _quaternion(rotation: Array) -> tuple[float, float, float, float]:
     """As (w, x, y, z), without the rounding errors of angles that URDFs write with ten digits."""
-    found = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
-    w, x, y, z = (0.0 if abs(value) < _ROUNDING else float(value) for value in found)
+    found = quaternion_from_rotation(rotation)
+    w, x, y, z = (0.0 if abs(value) < _ROUNDING else value for value in found)
     return (1.0, 0.0, 0.0, 0.0) if x == y == z == 0.0 else (w, x, y, z)
 
 

@@ -11,10 +11,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
+from rosbags.interfaces import QosDurability
+from rosbags.rosbag2.errors import ReaderError
+from rosbags.rosbag2.metadata import parse_qos
 
 from contact_reach_ros.bags.mcap_file import McapFile, Messages, in_order
 from contact_reach_ros.bags.message_types import decode
-from contact_reach_ros.bags.topics import CDR, MCAP_KEY, MCAP_NAME, RecordedTopic, is_latched
+from contact_reach_ros.bags.topics import CDR, MCAP_KEY, MCAP_NAME, RecordedTopic
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -170,7 +173,7 @@ class BagReader:
             for number, channel in file.channels.items():
                 name, schema = channel.topic, file.schemas.get(channel.schema_id)
                 kind = schema.name if schema else ""
-                latched = is_latched(channel.metadata.get("offered_qos_profiles", ""))
+                latched = _is_latched(channel.metadata.get("offered_qos_profiles", ""))
                 known = topics.get(name, RecordedTopic(name, kind, latched=latched, encoding=channel.message_encoding))
                 if known.type != kind:
                     raise BagError(f"{file.path}: topic '{name}' has both type {known.type} and {kind}, expected one")
@@ -190,3 +193,11 @@ class BagReader:
                 kept = content.get("custom_data")
                 return {str(key): str(value) for key, value in kept.items()} if isinstance(kept, dict) else {}
         return {}
+
+
+def _is_latched(profiles: str) -> bool:
+    """Whether a publisher was latched, by the profiles that an mcap channel holds as YAML; False if unreadable."""
+    try:
+        return any(qos.durability is QosDurability.TRANSIENT_LOCAL for qos in parse_qos(profiles))
+    except (ReaderError, KeyError, TypeError, AttributeError):
+        return False

@@ -5,10 +5,6 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from rosbags.interfaces import QosDurability
-from rosbags.rosbag2.errors import ReaderError
-from rosbags.rosbag2.metadata import parse_qos
-
 ROS2MSG = "ros2msg"
 """Language of the definitions of types: that of .msg files."""
 LOST = "messages_lost"
@@ -48,14 +44,6 @@ class RecordedTopic:
     latched: bool = False
     encoding: str = CDR
     message_count: int = 0
-
-
-def is_latched(profiles: str) -> bool:
-    """Whether a publisher was latched, by the profiles that an mcap channel holds as YAML; False if unreadable."""
-    try:
-        return any(qos.durability is QosDurability.TRANSIENT_LOCAL for qos in parse_qos(profiles))
-    except (ReaderError, KeyError, TypeError, AttributeError):
-        return False
 
 
 def written_qos(topic: RecordedTopic) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pinocchio as pin
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import ContactReachError
@@ -44,7 +44,7 @@ def goto(
     namespace
         Of the stack.
     """
-    rotation = None if rpy is None else Rotation.from_euler("xyz", list(rpy)).as_matrix()
+    rotation = None if rpy is None else pin.rpy.rpyToMatrix(*rpy)
     with connect(discovery, namespace) as client:
         client.wait_until_ready()
         orientation = client.settings[PLANNER].get("goal_orientation")

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pinocchio as pin
 
 from contact_reach_ros.arm import Arm, Array, JointState, link_frames
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
@@ -118,7 +118,7 @@ def _move(client: StackClient) -> None:
 def goals(arm: Arm) -> list[tuple[Array, Array]]:
     """Positions (3,), m, and rotations (3, 3) of the tip in the base frame."""
     rotations, origins = link_frames(arm, arm.home)
-    return [(origins[-1] + offset, rotations[-1] @ Rotation.from_rotvec(turn).as_matrix()) for offset, turn in _GOALS]
+    return [(origins[-1] + offset, rotations[-1] @ pin.exp3(np.array(turn))) for offset, turn in _GOALS]
 
 
 def check_clearance(arm: Arm, q: Array, obstacles: Spheres) -> None:

@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PoseStamped, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
-from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm import Arm, Array, quaternion_from_rotation
 from contact_reach_ros.errors import code_of
 from contact_reach_ros.messages.safety_state import ERROR, MONITORING, OK, STOP_CODE, WARN, findings
 from contact_reach_ros.observer.observer import SafetyReport
@@ -45,8 +44,7 @@ def to_goal_pose(position: Sequence[float], frame: str, stamp: Time, rotation: A
 
 def to_quaternion(rotation: Array) -> Quaternion:
     """Quaternion message of a rotation matrix (3, 3)."""
-    # Of a matrix stored row by row Pinocchio's bindings make a copy and never free it.
-    x, y, z, w = pin.Quaternion(np.asfortranarray(rotation)).coeffs().tolist()
+    w, x, y, z = quaternion_from_rotation(rotation)
     return Quaternion(x=x, y=y, z=z, w=w)
 
 

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import FrameError, InputError
@@ -189,6 +188,9 @@ def _joined(number: int, ends: Array, nodes: Array) -> NDArray[np.intp]:
         raise InputError(f"obstacles: marker {EDGES}/{number} has {len(ends)} points; expected an even number")
     if not len(ends):
         return np.zeros((0, 2), np.intp)
+    # Imported where it is needed: a third of the start of a driver without such bodies.
+    from scipy.spatial import cKDTree
+
     # An edge without any nodes ends far away from one.
     distances, nearest = cKDTree(nodes if len(nodes) else np.full((1, 3), 1e9)).query(ends)
     if distances.max() > _MATCH:

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import nnls
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
@@ -22,10 +19,6 @@ _FORCE_ALONG = 5.0
 """The same along the link, where contact acts only by friction."""
 _ACROSS = np.eye(3) / _FORCE**2
 _ALONG = 1.0 / _FORCE_ALONG**2 - 1.0 / _FORCE**2
-_FRICTION = 0.5
-"""Greatest friction of a known body, as a share of its normal force."""
-_ROW_OF_SUM = 100.0
-"""Weight of the sum of all forces in the fit, beside torques in units of the contact thresholds: it is kept exactly."""
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
 """Coordinates in a cross product; NumPy's own function takes ten times as long."""
 
@@ -68,27 +61,16 @@ class Contact:
         return float(np.linalg.norm(self.force))
 
 
-class Places(NamedTuple):
-    """Where known bodies may touch the arm.
-
-    Attributes
-    ----------
-    links
-        (P,) indices of the links, 0 for that of the first joint.
-    points, normals
-        (P, 3) on the axes of their capsules, m, and (P, 3) out of the bodies; base frame.
-    """
-
-    links: Array
-    points: Array
-    normals: Array
-
-
 class ContactLocator:
     """Fits τ_ext ≈ J_p(q)ᵀ f over points p on the axes of the arm's collision capsules.
 
     A force normal to a capsule passes through its axis, so points off the axis are not needed. Joints beyond the
     touched link feel nothing, which distinguishes the links.
+
+    Attributes
+    ----------
+    weights
+        (n,) factors that make torques comparable, 1/(N m).
     """
 
     def __init__(self, model: RobotModel, scales: tuple[float, ...]) -> None:
@@ -97,7 +79,7 @@ class ContactLocator:
         self._link_names = arm.link_names
         self._model = model.pinocchio
         self._data = self._model.createData()
-        self._weights = 1.0 / np.array(scales)
+        self.weights = 1.0 / np.array(scales)
         self._joints = [self._model.getJointId(name) for name in arm.joint_names]
         shares = np.linspace(0.0, 1.0, _POINTS)[:, None]
         capsules = [(c.link - 1, np.array(c.start, float), np.array(c.end, float)) for c in arm.capsules]
@@ -108,12 +90,12 @@ class ContactLocator:
 
     def locate(self, q: Array, torque: Array) -> Contact:
         """The contact that best explains the external torque (n,) N m at joint positions (n,) rad."""
-        rotations, origins = self._frames(q)
+        rotations, origins = self.frames(q)
         turns = rotations[self._links]
         points = origins[self._links] + (turns @ self._points)[:, :, 0]
         axes = turns @ self._axes
-        rows = self._rows(rotations, origins, points, self._links)
-        target = self._weights * torque
+        rows = self.rows(rotations, origins, points, self._links)
+        target = self.weights * torque
         prior = _ACROSS + _ALONG * (axes @ axes.transpose(0, 2, 1))
         normal = rows.transpose(0, 2, 1) @ rows + prior
         right = target @ rows
@@ -123,37 +105,15 @@ class ContactLocator:
         misfit = float(np.linalg.norm(target - rows[best] @ forces[best]))
         return Contact(self._link_names[self._links[best]], points[best], forces[best], misfit, torque)
 
-    def unexplained(self, q: Array, torque: Array, places: Places, most: float) -> Array:
-        """The part of an external torque (n,), N m, that contact with known bodies does not explain.
-
-        At each place a force may act out of the body, within a friction cone, and all of them together with `most` N.
-        """
-        if len(places.links) == 0:
-            return torque
-        normals = places.normals
-        sides = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
-        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
-        across = np.cross(normals, sides)
-        slope = math.hypot(1.0, _FRICTION)
-        tilted = [(normals + _FRICTION * side) / slope for side in (sides, -sides, across, -across)]
-        edges = np.stack([normals, *tilted], axis=2)
-        rows = self._rows(*self._frames(q), places.points, places.links)
-        columns = (rows @ edges).transpose(1, 0, 2).reshape(len(q), -1)
-        # One force more, which moves nothing, takes up what the others leave of `most`.
-        columns = np.hstack([most * columns, np.zeros((len(q), 1))])
-        sums = np.full((1, columns.shape[1]), _ROW_OF_SUM)
-        shares, _ = nnls(np.vstack([columns, sums]), np.append(self._weights * torque, _ROW_OF_SUM))
-        return torque - columns @ shares / self._weights
-
-    def _frames(self, q: Array) -> tuple[Array, Array]:
+    def frames(self, q: Array) -> tuple[Array, Array]:
         """Rotations (n, 3, 3) and origins (n, 3), m, of the joints' frames."""
         pin.forwardKinematics(self._model, self._data, q)
         frames = [self._data.oMi[joint] for joint in self._joints]
         return np.array([frame.rotation for frame in frames]), np.array([frame.translation for frame in frames])
 
-    def _rows(self, rotations: Array, origins: Array, points: Array, links: Array) -> Array:
+    def rows(self, rotations: Array, origins: Array, points: Array, links: Array) -> Array:
         """Weighted J_pᵀ (P, n, 3) of points (P, 3), m: joint axis × lever, zero for the joints beyond the link."""
         levers = points[:, None, :] - origins
         turning = rotations[:, :, 2]
         rows = turning[:, _NEXT] * levers[:, :, _AFTER] - turning[:, _AFTER] * levers[:, :, _NEXT]
-        return rows * ((np.arange(len(origins)) <= links[:, None]) * self._weights)[:, :, None]
+        return rows * ((np.arange(len(origins)) <= links[:, None]) * self.weights)[:, :, None]

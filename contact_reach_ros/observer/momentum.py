@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.linalg import lapack
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
@@ -137,8 +136,7 @@ class MomentumObserver:
         """
         jacobian = self._model.jacobian_at(self.posture)
         damped = jacobian.dot(jacobian.T) + damping**2 * _IDENTITY
-        _, wrench, _ = lapack.dposv(damped, jacobian.dot(self.residual))
-        return wrench
+        return np.linalg.solve(damped, jacobian.dot(self.residual))
 
 
 def _plausible(values: Array) -> bool:

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Arm, Array
@@ -135,13 +134,14 @@ class Network:
         moved = np.union1d(kept, self._joined)
         followers = self.compliance(moved, kept) @ stiffness
         damping = followers.T @ (self._spheres.damping[moved, None] * followers)
-        rates, shapes = scipy.linalg.eigh(0.5 * (stiffness + stiffness.T), 0.5 * (damping + damping.T))
-        missing = capacity - len(kept)
-        return Modes(
-            shapes=scipy.linalg.block_diag(shapes, np.eye(missing)),
-            amplitudes=scipy.linalg.block_diag(shapes.T @ damping, np.eye(missing)),
-            rates=np.concatenate([rates, np.ones(missing)]),
-        )
+        # K φ = λ D φ by the eigenvectors of L⁻¹ K L⁻ᵀ, where D = L Lᵀ.
+        unloaded = np.linalg.inv(np.linalg.cholesky(0.5 * (damping + damping.T)))
+        scaled = unloaded @ stiffness @ unloaded.T
+        rates, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+        shapes, amplitudes, count = np.eye(capacity), np.eye(capacity), len(kept)
+        shapes[:count, :count] = unloaded.T @ vectors
+        amplitudes[:count, :count] = shapes[:count, :count].T @ damping
+        return Modes(shapes=shapes, amplitudes=amplitudes, rates=np.concatenate([rates, np.ones(capacity - count)]))
 
 
 PLANES, BLOCKS = 2, 2

@@ -2,18 +2,46 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.observer.location import Contact, ContactLocator, Places
+from contact_reach_ros.observer.location import Contact, ContactLocator
 from contact_reach_ros.observer.observer import EXCESS_FORCE, LEAST_FORCE
 from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.spheres import Spheres
 
 NEAR = 0.02
 """Greatest distance of a known obstacle from the arm at which it may touch it, m: so far it may be misplaced."""
+
+_FRICTION = 0.5
+"""Greatest friction of a known body, as a share of its normal force."""
+_ROW_OF_SUM = 100.0
+"""Weight of the sum of all forces in the fit, beside torques in units of the contact thresholds: it is kept exactly."""
+
+
+_ZERO = 1e-12
+"""Share of the greatest force that is a rounding error."""
+
+
+class Places(NamedTuple):
+    """Where known bodies may touch the arm.
+
+    Attributes
+    ----------
+    links
+        (P,) indices of the links, 0 for that of the first joint.
+    points, normals
+        (P, 3) on the axes of their capsules, m, and (P, 3) out of the bodies; base frame.
+    """
+
+    links: Array
+    points: Array
+    normals: Array
 
 
 class Explanation:
@@ -38,11 +66,33 @@ class Explanation:
         places = places_near(self._arm, q, spheres)
         if len(places.links) == 0 or not np.isfinite(contact.torque).all():
             return contact
-        left = self._locator.unexplained(q, contact.torque, places, self._most)
+        left = self._unexplained(q, contact.torque, places)
         if (np.abs(left) <= self._thresholds).all():
             return None
         found = self._locator.locate(q, left)
         return found if found.strength >= LEAST_FORCE else None
+
+    def _unexplained(self, q: Array, torque: Array, places: Places) -> Array:
+        """The part of an external torque (n,), N m, that forces at these places do not explain.
+
+        At each place a force may act out of the body, within a friction cone, and all of them together with no more
+        than is permitted.
+        """
+        normals = places.normals
+        sides = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+        across = np.cross(normals, sides)
+        slope = math.hypot(1.0, _FRICTION)
+        tilted = [(normals + _FRICTION * side) / slope for side in (sides, -sides, across, -across)]
+        edges = np.stack([normals, *tilted], axis=2)
+        rows = self._locator.rows(*self._locator.frames(q), places.points, places.links)
+        columns = (rows @ edges).transpose(1, 0, 2).reshape(len(q), -1)
+        # One force more, which moves nothing, takes up what the others leave of the permitted force.
+        columns = np.hstack([self._most * columns, np.zeros((len(q), 1))])
+        sums = np.full((1, columns.shape[1]), _ROW_OF_SUM)
+        target = np.append(self._locator.weights * torque, _ROW_OF_SUM)
+        shares = nonnegative_fit(np.vstack([columns, sums]), target)
+        return torque - columns @ shares / self._locator.weights
 
 
 def places_near(arm: Arm, q: Array, spheres: Spheres) -> Places:
@@ -59,3 +109,29 @@ def places_near(arm: Arm, q: Array, spheres: Spheres) -> Places:
     _, capsules = np.nonzero(near)
     links = np.array([capsule.link - 1 for capsule in arm.capsules])
     return Places(links[capsules], points[near], normals[near] / distances[near, None])
+
+
+def nonnegative_fit(matrix: Array, target: Array) -> Array:
+    """The x ≥ 0, (n,), that minimises |A x - b| for A (m, n) and b (m,), after Lawson and Hanson (1974), chapter 23.
+
+    SciPy has it too, but would be a sixth of the planner's start.
+    """
+    x, passive = np.zeros(matrix.shape[1]), np.zeros(matrix.shape[1], bool)
+    least = _ZERO * np.linalg.norm(matrix, axis=0).max() * np.linalg.norm(target)
+    for _ in range(3 * len(x)):
+        slope = np.where(passive, 0.0, matrix.T @ (target - matrix @ x))
+        if slope.max() <= least:
+            break
+        passive[slope.argmax()] = True
+        while passive.any():
+            free = np.zeros_like(x)
+            free[passive] = np.linalg.lstsq(matrix[:, passive], target, rcond=None)[0]
+            negative = passive & (free <= 0.0)
+            if not negative.any():
+                x = free
+                break
+            # As far as the first of them becomes zero.
+            x += (x[negative] / (x[negative] - free[negative])).min() * (free - x)
+            passive &= x > _ZERO * x.max()
+            x[~passive] = 0.0
+    return x

@@ -10,11 +10,10 @@ import numpy as np
 from geometry_msgs.msg import Pose, PoseStamped
 from rclpy.lifecycle import LifecycleNode
 from rclpy.time import Time
-from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-from contact_reach_ros.arm import Array
+from contact_reach_ros.arm import Array, rotation_from_quaternion
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.conversions import to_point, to_quaternion
 from contact_reach_ros.messages.topics import GOAL_POSE, OBSTACLES
@@ -87,7 +86,7 @@ class Frames:
             found = self._buffer.lookup_transform(base, frame, Time.from_msg(header.stamp)).transform
         except tf2_ros.TransformException as error:
             raise InputError(f"{what}: no transform from '{frame}' to '{base}': {str(error).strip()}") from error
-        return Rotation.from_quat(quaternion(found.rotation)).as_matrix(), vector(found.translation)
+        return rotation_from_quaternion(np.roll(quaternion(found.rotation), 1)), vector(found.translation)
 
 
 def _moved(pose: Pose, rotation: Array, origin: Array) -> Pose:
@@ -96,4 +95,4 @@ def _moved(pose: Pose, rotation: Array, origin: Array) -> Pose:
     turn = quaternion(pose.orientation)
     if not turn.any():
         return Pose(position=position, orientation=pose.orientation)
-    return Pose(position=position, orientation=to_quaternion(rotation @ Rotation.from_quat(turn).as_matrix()))
+    return Pose(position=position, orientation=to_quaternion(rotation @ rotation_from_quaternion(np.roll(turn, 1))))

@@ -7,7 +7,7 @@ import functools
 from typing import TypeVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pinocchio as pin
 
 from contact_reach_ros.arm import Arm, Array, link_frames, link_frames_of_many
 from contact_reach_ros.arm.capsules import moving, pair_distances, self_pairs, shape_radii, shape_segments
@@ -139,8 +139,8 @@ def _postures(arm: Arm, position: Array, seeds: Array) -> Array:
     """
     rotations, _ = link_frames(arm, arm.home)
     out = rotations[-2][:, 2] if arm.tip_offset[2] >= 0.0 else -rotations[-2][:, 2]
-    forward = Rotation.align_vectors([[1.0, 0.0, 0.0]], [out])[0].as_matrix() @ rotations[-1]
-    rolls = [Rotation.from_rotvec([angle, 0.0, 0.0]).as_matrix() for angle in 2.0 * np.pi / _ROLLS * np.arange(_ROLLS)]
+    forward = pin.Quaternion.FromTwoVectors(out, np.eye(3)[0]).matrix() @ rotations[-1]
+    rolls = [pin.rpy.rpyToMatrix(angle, 0.0, 0.0) for angle in 2.0 * np.pi / _ROLLS * np.arange(_ROLLS)]
     goals = [Target(position, roll @ forward).of_task(arm.task) for roll in rolls]
     found = np.concatenate(
         [solve_ik(arm, position, goal.rotation, seeds, _LIMIT_MARGIN, goal.only_axis) for goal in goals]

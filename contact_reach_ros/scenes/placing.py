@@ -6,8 +6,8 @@ import functools
 from typing import cast
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.arm.capsules import moving, shape_radii, shape_segments
@@ -244,7 +244,7 @@ def swivelled_segments(arm: Arm, q: Array, angles: Array) -> tuple[Array, Array]
     shoulder = np.array(arm.shoulder)
     axis = origins[_wrist(arm) - 1] - shoulder
     axis /= np.linalg.norm(axis)
-    turns = Rotation.from_rotvec(np.outer(angles, axis)).as_matrix()
+    turns = np.array([pin.exp3(angle * axis) for angle in angles])
 
     def turned(points: Array) -> Array:
         swivelled = shoulder + np.einsum("aij,cj->aci", turns, points - shoulder)

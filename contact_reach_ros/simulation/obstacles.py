@@ -11,7 +11,6 @@ from xml.etree.ElementTree import Element, SubElement
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.capsules import self_pairs
@@ -153,6 +152,9 @@ class Foam:
 
     def __init__(self, obstacles: Sequence[Obstacle], scale: float = 1.0) -> None:
         """`scale`: factor on the stiffness of all springs."""
+        # Imported where it is needed: a third of the start of a driver without foam.
+        from scipy.sparse import csr_array
+
         rest = np.concatenate([obstacle.rest for obstacle in obstacles])
         free = ~np.concatenate([obstacle.fixed for obstacle in obstacles])
         first = np.cumsum([0, *(len(obstacle.rest) for obstacle in obstacles)])

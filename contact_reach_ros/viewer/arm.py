@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import trimesh
 import viser
-from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm import Arm, Array, Capsule, link_frames
+from contact_reach_ros.arm import Arm, Array, Capsule, link_frames, quaternion_from_rotation
 from contact_reach_ros.palette import ORANGE, VERMILION, as_bytes
 
 _BODY, _COVER, _DARK = "#DBDEE0", "#F2731A", "#383B40"
@@ -49,7 +48,7 @@ class ArmView:
     def move(self, q: Array) -> None:
         """Show the links at joint angles `q` (n,), rad."""
         for frame, rotation, origin in zip(self._frames[1:], *link_frames(self._arm, q), strict=False):
-            frame.wxyz = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+            frame.wxyz = quaternion_from_rotation(rotation)
             frame.position = origin
 
     def colour(self, shares: Array) -> None:

@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 import viser
-from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm import Arm, Array, quaternion_from_rotation
 from contact_reach_ros.arm.mount import scene_frame
 from contact_reach_ros.messages.plan_reader import PlanPicture
 from contact_reach_ros.palette import BLUE, ORANGE, PURPLE, SKY_BLUE, VERMILION, as_bytes
@@ -64,7 +63,7 @@ class SceneView:
             section_size=0.5,
             plane="xy",
             shadow_opacity=0.15,
-            wxyz=Rotation.from_matrix(frame.rotation).as_quat(scalar_first=True),
+            wxyz=quaternion_from_rotation(frame.rotation),
             position=frame.origin,
         )
         scene.world_axes.visible = False

@@ -8,9 +8,8 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm import Arm, Array, checked_array
+from contact_reach_ros.arm import Arm, Array, checked_array, rotation_from_quaternion
 from contact_reach_ros.arm.inverse_kinematics import unreachable
 from contact_reach_ros.arm.kinematics import AXIS, POSITION
 from contact_reach_ros.errors import InputError
@@ -159,7 +158,7 @@ class Goal:
         length = float(np.linalg.norm(quaternion))
         if not (np.isfinite(length) and abs(length - 1.0) < 0.01):
             raise InputError(f"goal: orientation = {quaternion.tolist()}; expected a unit quaternion x, y, z, w")
-        return Target(position, Rotation.from_quat(quaternion / length).as_matrix()).of_task(arm.task)
+        return Target(position, rotation_from_quaternion(np.roll(quaternion, 1))).of_task(arm.task)
 
     def reached(self, position: Array, target: Target) -> bool:
         """Whether the tip at `position` (3,), m, base frame, is where `target` asks it to be."""

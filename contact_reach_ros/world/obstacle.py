@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import SettingsError
@@ -237,7 +237,7 @@ class BoxSettings(MeshSettings):
 
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The box around `center` (3,), m."""
-        turned = Rotation.from_euler("xyz", self.angles).apply(self.points(np.zeros(3)))
+        turned = self.points(np.zeros(3)) @ pin.rpy.rpyToMatrix(*self.angles).T
         held = np.s_[:, :, 0] if self.fixed == BOTTOM else np.s_[:, 1:-1, :]
         return (self._body("the box", center + turned, held),)
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from contact_reach_ros.arm import Array, checked_array
+from contact_reach_ros.arm import Array, checked_array, quaternion_from_rotation, rotation_from_quaternion
+from contact_reach_ros.arm.rotations import frame_about
 from contact_reach_ros.errors import InputError
 
 Vector = Sequence[float] | Array
@@ -86,7 +86,7 @@ class Block:
     @property
     def axes(self) -> Array:
         """(3, 3) its axes in the base frame, one a column."""
-        return Rotation.from_quat(self.orientation).as_matrix()
+        return rotation_from_quaternion(np.roll(self.orientation, 1))
 
     @property
     def half(self) -> Array:
@@ -95,8 +95,12 @@ class Block:
 
     def moved(self, rotation: Array, origin: Array) -> Block:
         """As `Plane.moved`."""
-        turn = Rotation.from_matrix(rotation) * Rotation.from_quat(self.orientation)
-        return Block(self.name, rotation @ self.center + origin, self.size, turn.as_quat())
+        return Block(
+            self.name,
+            rotation @ self.center + origin,
+            self.size,
+            _orientation(rotation @ self.axes),
+        )
 
 
 RigidBody = Plane | Block
@@ -143,9 +147,13 @@ def slab(body: RigidBody) -> Block:
     if isinstance(body, Block):
         return body
     normal = np.array(body.normal)
-    turn, _ = Rotation.align_vectors(normal[None], [[0.0, 0.0, 1.0]])
     center = (body.offset - 0.5 * _SLAB[2]) * normal
-    return Block(body.name, center, _SLAB, turn.as_quat())
+    return Block(body.name, center, _SLAB, _orientation(frame_about(normal)))
+
+
+def _orientation(axes: Array) -> Array:
+    """(4,) quaternion x, y, z, w of axes (3, 3)."""
+    return np.roll(quaternion_from_rotation(axes), -1)
 
 
 def _checked(body: str, name: str, values: object, count: int) -> tuple[float, ...]:

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pinocchio as pin
 
-from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm import Arm, Array, checked_array, quaternion_from_rotation
 from contact_reach_ros.arm.tool import NO_TOOL, Tool
 from contact_reach_ros.errors import ContactReachError, InputError, SceneError, SettingsError
 from contact_reach_ros.resources import share_directory
@@ -274,7 +274,8 @@ def _read_environment(section: Mapping[str, Any], where: str) -> dict[str, Rigid
             if known is PLANE_KEYS:
                 found[name] = Plane(str(name), **values)
             else:
-                turn = Rotation.from_euler("xyz", values.get("angles", (0.0, 0.0, 0.0))).as_quat()
+                angles = checked_array("angles", values.get("angles", (0.0, 0.0, 0.0)), (3,))
+                turn = np.roll(quaternion_from_rotation(pin.rpy.rpyToMatrix(angles)), -1)
                 found[name] = Block(str(name), values.get("center", ()), values.get("size", ()), turn)
         except InputError as error:
             raise SettingsError(f"{where}: {error}") from error

@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from contact_reach_ros.arm import Array, checked_array
 from contact_reach_ros.errors import InputError
@@ -71,6 +69,10 @@ class Spheres:
     def _check_held(self) -> None:
         if (self.stiffness > 0.0).all():
             return
+        # Imported where it is needed: a third of the start of processes that never have such spheres.
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
         count = len(self)
         graph = coo_array((np.ones(len(self.edges)), self.edges.T), shape=(count, count))
         groups, group = connected_components(graph, directed=False)

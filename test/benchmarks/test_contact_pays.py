@@ -18,7 +18,8 @@ from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions, sphere_capacity
 
-SEED, CLUTTER = 0, 493
+SEED, CLUTTER = 0, 489
+"""Of the random scenes that only contact leads through one with a single ball: its programs are the other tests', too."""
 
 
 def run(name, scene, goal, timeout, until_settled):
@@ -57,9 +58,9 @@ def test_the_planner_settles_in_random_clutter_that_only_contact_leads_through()
     file, permitted = clutter_scene(ARM, CLUTTER), cr.ContactBudget().permitted_force
     scene = make_scene(file, ARM, CLUTTER)
     assert classify(ARM, scene, permitted).kind is Kind.CONTACT
-    ours = run("contact_reach", scene, scene.goal, 10.0, until_settled=True)
+    ours = run("contact_reach", scene, scene.goal, 15.0, until_settled=True)
     assert ours.settled and 0.0 < ours.max_contact_force <= permitted
-    assert not run("reference_posture", scene, scene.goal, 10.0, until_settled=True).settled
+    assert not run("reference_posture", scene, scene.goal, 15.0, until_settled=True).settled
 
 
 @pytest.mark.slow
