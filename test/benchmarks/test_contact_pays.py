@@ -19,7 +19,7 @@ from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions, sphere_capacity
 
 SEED, CLUTTER = 0, 489
-"""Of the random scenes that only contact leads through one with a single ball: its programs are the other tests', too."""
+"""Of the random scenes that only contact leads through, one with a single ball, whose programs other tests have."""
 
 
 def run(name, scene, goal, timeout, until_settled):
