@@ -28,7 +28,11 @@ from contact_reach_ros.world.goal import FREE, Goal
 from contact_reach_ros.world.spheres import Spheres
 
 SMALL = PlanningSettings(population=32, max_steps=3, deadline=0.0)
-FREE_SCENE = load_scene("free")
+BALL_SCENE = load_scene("ball")
+AWAY = [dataclasses.replace(ball, rest=ball.rest + np.array([0.0, 3.0, 0.0])) for ball in BALL_SCENE.obstacles]
+EMPTY_SCENE = load_scene("free")
+FREE_SCENE = dataclasses.replace(BALL_SCENE, obstacles=tuple(AWAY))
+"""With a ball out of reach: its programs are those of most other tests."""
 GOAL = Goal(FREE_SCENE.target)
 BEYOND = Goal([5.0, 0.0, 0.0])
 BAD = np.where(np.arange(ARM.n) == 3, math.nan, 0.0)
@@ -210,8 +214,8 @@ class TestStop:
 
 class TestOwnRobot:
     def test_a_plain_simulation_that_reports_at_200_hz_reaches_the_goal(self, core):
-        robot = PlainRobot(FREE_SCENE.start, steps=5)
-        stack = Stack(FREE_SCENE, planner=core, robot=robot, period=0.005)
+        robot = PlainRobot(EMPTY_SCENE.start, steps=5)
+        stack = Stack(EMPTY_SCENE, planner=core, robot=robot, period=0.005)
         result, torques, _, stamps = watched(stack)
         assert result.reached and math.isnan(result.max_contact_force)
         assert set(np.diff(stamps)) == {5 * TICK_NS} and np.isfinite(torques).all()

@@ -131,6 +131,7 @@ def test_the_docs_show_what_the_command_prints(name, page, capsys):
         assert row in (ROOT / page).read_text(), f"{page} lacks the row {row}"
 
 
+@pytest.mark.slow
 def test_the_picture_is_drawn_from_the_run(tmp_path):
     file, pictures_of = tmp_path / "blindness.json", [tmp_path / name for name in ("one.svg", "two.svg", "one.png")]
     assert bench(blindness, "--postures", 20, "--json", file) == 0
