@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import io
 import os
 import sys
@@ -36,8 +37,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # What is still buffered: at the interpreter's end an error could not be caught.
         sys.stdout.flush()
         sys.exit(code or 0)
-    except BrokenPipeError:
-        # Nobody reads on, as with `| head`. The code is the one that Rich, which writes the tables, has for it.
+    except OSError as error:
+        if error.errno not in (errno.EPIPE, errno.ENOSPC) or error.filename is not None:
+            raise
+        # Nobody reads on, as with `| head`, or there is no room for more.
+        if error.errno != errno.EPIPE:
+            print(f"contact-reach: the output cannot be written: {error.strerror}", file=sys.stderr)
+        # The code is the one that Rich, which writes the tables, has for it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except ContactReachError as error:

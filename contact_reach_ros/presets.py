@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -122,6 +122,7 @@ def check_parameters(file: Path, given: Given | None = None, robot: str = "", na
         own = parameters_in(file, node, namespace) | ({ROBOT.name: robot} if robot else {}) | added
         values[node] = own
         arms[node] = arm_in(own, source)
+        _check_owner(own, node, arms[node], source)
         settings[node] = make_settings(own, sections, arms[node], source)
     started = _NEEDED if given is None else tuple(given)
     known = known_parameters({}, arms["controller"])
@@ -130,6 +131,14 @@ def check_parameters(file: Path, given: Given | None = None, robot: str = "", na
         _check_same(file, name, {node: known[name].check(value, name) for node, value in given_to.items()})
     rate: Any = values["controller"].get(RATE.name, RATE.default)
     _check_together(file, settings, arms["controller"], 1.0 / rate, started)
+
+
+def _check_owner(names: Iterable[str], node: str, arm: Arm, source: str) -> None:
+    """Check that no parameter is one of other nodes only."""
+    known = {other: known_parameters(sections, arm) for other, sections in SECTIONS.items()}
+    for name in names:
+        if name not in known[node] and (owners := [other for other in SECTIONS if name in known[other]]):
+            raise SettingsError(f"{source}: unknown key '{name}'; set it for the {' or the '.join(owners)}")
 
 
 def _check_same(file: Path, name: str, of_node: Mapping[str, Any]) -> None:

@@ -26,6 +26,14 @@ def test_it_ends_without_a_word_where_nobody_reads_its_output() -> None:
     assert (process.returncode, errors) == (1, "")
 
 
+def test_it_says_in_one_line_that_there_is_no_room_for_its_output() -> None:
+    command = [sys.executable, "-m", "contact_reach_ros.cli", "bag", "info", str(SAMPLE)]
+    with open("/dev/full", "w") as full:
+        result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=300)
+    assert result.returncode == 1
+    assert result.stderr == "contact-reach: the output cannot be written: No space left on device\n"
+
+
 @pytest.mark.parametrize("name", [b"b\xc3\xa4r", b"b\xe4r"])
 def test_a_report_needs_no_home_and_no_text_beyond_ascii(name: bytes, tmp_path: Path) -> None:
     """The folder's name is an umlaut in UTF-8 and in Latin-1."""

@@ -46,6 +46,8 @@ def test_the_packages_own_file_passes():
             "planner: unknown key 'impedance.task_damping'; set it for the controller",
         ),
         ({"planner": {"contact_budget": "own.yaml"}}, "planner: unknown key 'contact_budget'; set it for the observer"),
+        ({"/**": {"momentum": {"gain": 9.0}}}, "driver: unknown key 'momentum.gain'; set it for the observer"),
+        ({"controller": {"period": 0.1}}, "controller: unknown key 'period'; set it for the planner"),
         ({"controller": {"impedance": {"null_damping": 50.0}}}, "null_damping = 50 are not stable at 1000 Hz"),
         ({"planner": {"state_rate": 500.0}}, "state_rate = .*1000.0 for the controller.* 500.0 for the planner"),
         (

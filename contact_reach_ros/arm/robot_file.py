@@ -20,6 +20,8 @@ POINTS = "points"
 """Geometry beside that of URDFs: the convex hull of the points in its attribute `at`, m."""
 _FILE_URI = re.compile("^file:(//(localhost)?(?=/))?")
 _PACKAGED = re.compile("(?:package://|.*/share/)([^/]+)/(.+)")
+_ARGUMENT = re.compile(rb"""<xacro:arg\s[^>]*?name=["']([^"']+)["']|\$\(arg\s+([^)\s]+)\s*\)""")
+"""Where a xacro file declares an argument, or uses one."""
 _PREFIX_PATHS = ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
 
 
@@ -88,6 +90,7 @@ def _expanded(root: Element, file: Path, options: ArmOptions) -> bytes:
     # By itself xacro finds packages that are installed with ROS, and no others.
     substitution_args._eval_find = substitution_args._eval_dict["find"] = find
     given = {key: f"{value}".lower() if isinstance(value, bool) else f"{value}" for key, value in options.xacro.items()}
+    xacro.all_includes.clear()
     try:
         text: str = xacro.process_file(str(file), mappings=given).toxml()
     # Macros are expressions in Python and may raise whatever these do.
@@ -100,6 +103,11 @@ def _expanded(root: Element, file: Path, options: ArmOptions) -> bytes:
         declared = f"its arguments under xacro ({{{arguments}}}), " if arguments else ""
         mend = f"give {declared}folders of its packages under packages"
         raise SettingsError(f"{file}: xacro does not expand it: {str(error) or repr(error)}; {mend}") from error
+    used = [name for each in (file, *map(Path, xacro.all_includes)) for name in _ARGUMENT.findall(_content(each))]
+    known = {name.decode() for names in used for name in names if name}
+    if unknown := [name for name in given if name not in known]:
+        expected = f"one of {', '.join(sorted(known))}" if known else "none, since it has none"
+        raise SettingsError(f"{file}: xacro argument '{unknown[0]}' is unknown; expected {expected}")
     return text.encode()
 
 

@@ -376,6 +376,9 @@ def test_a_xacro_file_is_expanded_with_its_arguments_and_packages(tmp_path):
     (tmp_path / "arm.yaml").write_text("xacro: {tip: end}\n")
     assert read_arm_file(file).arm.tip_frame == "end"
     assert read_arm_file(tmp_path / "arm.yaml").arm.tip_frame == "end"
+    (tmp_path / "arm.yaml").write_text("xacro: {tpi: end}\n")
+    with pytest.raises(SettingsError, match=f"^{file}: xacro argument 'tpi' is unknown; expected one of tip$"):
+        read_arm_file(tmp_path / "arm.yaml")
     (tmp_path / "arm.yaml").write_text("xacro: {tip: end}\npackages: {parts: nowhere}\n")
     with pytest.raises(SettingsError, match=f"^{file}: xacro does not expand it: .*nowhere"):
         read_arm_file(file)
