@@ -152,7 +152,10 @@ class BagReader:
         return files
 
     def _leave_namespace(self) -> None:
-        """Take the namespace of the joint states off all topics; raises `BagError` if there are several stacks."""
+        """Take the namespace of the joint states off all topics; raises `BagError` if there are several stacks.
+
+        What has the name of one of them without a namespace is of others, such as a second arm, and is named so.
+        """
         channels = [file.channels for file in self._files]
         names = {channel.topic for channel in chain.from_iterable(known.values() for known in channels)}
         found = (name.removesuffix(_STATES) for name in names if name.endswith(_STATES))
@@ -162,10 +165,13 @@ class BagReader:
                 f"bag '{self.path}' has several stacks: {', '.join(space or '/' for space in spaces)}; expected one: "
                 "record each with its own bring-up"
             )
-        for known in channels if spaces and spaces[0] else ():
+        if not (spaces and spaces[0]):
+            return
+        own = {name: name.removeprefix(spaces[0]) for name in names if name.startswith(f"{spaces[0]}/")}
+        others = {name: f"{name} (outside {spaces[0]})" for name in own.values() if name in names}
+        for known in channels:
             for number, channel in known.items():
-                if channel.topic.startswith(f"{spaces[0]}/"):
-                    known[number] = dataclasses.replace(channel, topic=channel.topic.removeprefix(spaces[0]))
+                known[number] = dataclasses.replace(channel, topic=(others | own).get(channel.topic, channel.topic))
 
     def _read_topics(self) -> Mapping[str, RecordedTopic]:
         topics: dict[str, RecordedTopic] = {}

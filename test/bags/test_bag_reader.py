@@ -52,6 +52,13 @@ def test_topics_of_a_stack_go_without_its_namespace(tmp_path: Path) -> None:
     assert read.data == "/a/left/goal/state"
 
 
+def test_those_of_others_that_have_no_namespace_stay_apart(tmp_path: Path) -> None:
+    bag = write_stacks(tmp_path / "bag", "/joint_states", "/left/joint_states", "/left/safety_state")
+    reader = BagReader(bag, of_stack=True)
+    assert set(reader.topics) == {"/joint_states", "/safety_state", "/joint_states (outside /left)"}
+    assert [read.data for read in reader.messages("/joint_states")] == ["/left/joint_states"]
+
+
 def test_of_several_stacks_none_is_chosen(tmp_path: Path) -> None:
     names = ("/joint_states", "/safety_state")
     bag = write_stacks(tmp_path / "bag", *names, *(f"/left{name}" for name in names))
