@@ -3,11 +3,13 @@
 import json
 
 import numpy as np
+import pytest
 from contact_reach_command import bench
 
 from benchmarks import observer
 
 
+@pytest.mark.slow
 def test_report_holds_what_it_should(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(observer, "PUSHES", 3)
     file = tmp_path / "observer.json"

@@ -78,6 +78,7 @@ def test_the_summary_counts_what_settles_who_is_best_and_how_often_contact_was_n
     assert against["time_s"]["mean"] == pytest.approx(-0.5)
 
 
+@pytest.mark.slow
 def test_a_tiny_run_has_the_whole_report(tmp_path, capsys):
     tiny = Clutter(scenes=1, seed=4, methods=("reactive",), foam_factor=2.0)
     file, picture = tmp_path / "clutter.json", tmp_path / "clutter.png"
