@@ -139,7 +139,7 @@ def _parser() -> argparse.ArgumentParser:
         "fit tool, friction and torque offsets to a motion, and write parameter files",
     )
     where = "recordings of free motion (default: the running stack moves the arm, for about a minute)"
-    identify.add_argument("--bag", dest="bags", type=Path, nargs="+", metavar="BAG", help=where)
+    identify.add_argument("--bag", dest="bags", type=_path, nargs="+", metavar="BAG", help=where)
     identify.add_argument("--links", action="store_true", help="fit the weights of the links; the tool is as it is")
     identify.add_argument("--output", type=Path, metavar="FILE", help="parameter file (default: identified.yaml)")
     identify.add_argument("--parameters", type=Path, metavar="FILE", help="file whose other values it keeps")
@@ -169,7 +169,7 @@ def _parser() -> argparse.ArgumentParser:
     report = add(
         "report", _later("report.page:run_report"), "a page about one bag or several: one HTML file for any browser"
     )
-    report.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bags: directories or mcap files")
+    report.add_argument("bags", nargs="+", type=_path, metavar="BAG", help="bags: directories or mcap files")
     report.add_argument("-o", "--output", type=Path, metavar="FILE", help="the page (default: beside the first bag)")
     _add_json(report)
 
@@ -178,7 +178,7 @@ def _parser() -> argparse.ArgumentParser:
         _later("reexecution.command:run_reexecution"),
         "re-execute controller and observer, or the planner, on a bag, and report differences",
     )
-    reexecute.add_argument("bag", type=Path, metavar="BAG", help="a bag: directory or mcap file")
+    reexecute.add_argument("bag", type=_path, metavar="BAG", help="a bag: directory or mcap file")
     what = reexecute.add_mutually_exclusive_group()
     what.add_argument("--plan", type=int, metavar="N", help="solve plan number N again instead")
     what.add_argument("--with", dest="other", type=Path, metavar="FILE", help="parameter file with other settings")
@@ -186,7 +186,7 @@ def _parser() -> argparse.ArgumentParser:
 
     bag = commands.add_parser("bag", help="look into a recording").add_subparsers(required=True, metavar="WHAT")
     info = bag.add_parser("info", help="topics, rates, gaps and lost messages of a bag")
-    info.add_argument("path", type=Path, metavar="BAG", help="a directory, or one mcap file")
+    info.add_argument("path", type=_path, metavar="BAG", help="a directory, or one mcap file")
     _add_json(info)
     info.set_defaults(run=_later("bags.command:bag_info"))
 
@@ -197,6 +197,13 @@ def _parser() -> argparse.ArgumentParser:
     bench.add_argument("--load", type=int, help="programs beside the stack that never sleep (default: 0)")
     _add_json(bench)
     return parser
+
+
+def _path(text: str) -> Path:
+    if not text:
+        # As of a variable that is not set; Path would make it the present folder.
+        raise argparse.ArgumentTypeError("expected a path, not an empty text")
+    return Path(text)
 
 
 def _add_stack(command: argparse.ArgumentParser) -> None:

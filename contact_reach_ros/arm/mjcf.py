@@ -67,7 +67,7 @@ def build_mjcf(
     # Brax reads only models with the Euler integrator; the plant sets step and integrator itself.
     SubElement(root, "option", timestep="0.001", integrator="Euler", gravity=numbers(arm.gravity))
     world = SubElement(root, "worldbody")
-    body = SubElement(world, "body", name=arm.base_frame if arm.base_frame != _WORLD else f"{_WORLD}_base")
+    body = SubElement(world, "body", name=arm.base_frame if arm.base_frame != _WORLD else f"the {_WORLD}")
     named = list(zip((*arm.base_capsules, *arm.capsules), capsule_names(arm), strict=True))
     body.extend(_capsule(capsule, geom) for capsule, geom in named if capsule.link == 0)
     inertias = arm.inertias(inertia_set)

@@ -81,7 +81,18 @@ class _Writer:
                 add_joint(self._robot, f"{name} mount", "fixed", (self._bodies[model.site_bodyid[site]], name), place)
         for constraint in map(int, np.flatnonzero(model.eq_active0)):
             self._add_mimic(constraint)
+        self._say_what_is_left_out()
         return self._robot, self._assumed
+
+    def _say_what_is_left_out(self) -> None:
+        """Forces that the arm's model has not."""
+        model = self._model
+        springs = [model.joint(each).name or f"joint_{each}" for each in np.flatnonzero(model.jnt_stiffness)]
+        floating = [self._bodies[each] for each in np.flatnonzero(model.body_gravcomp)]
+        tendons = [model.tendon(each).name or f"tendon_{each}" for each in range(model.ntendon)]
+        for what, names in (("springs of", springs), ("gravity compensation of", floating), ("tendons", tendons)):
+            if names:
+                self._assumed.append(f"forces: {what} {', '.join(names)} are left out; the arm must not depend on them")
 
     def _add_mimic(self, constraint: int) -> None:
         """An equality between two joints, if it is linear; of all others only a line remains."""
@@ -140,14 +151,16 @@ class _Writer:
             gear = abs(model.actuator_gear[each, 0])
             if model.actuator_forcelimited[each]:
                 found.append(gear * np.abs(model.actuator_forcerange[each]).min())
-            elif model.actuator_ctrllimited[each] and model.actuator_biastype[each] == mujoco.mjtBias.mjBIAS_NONE:
+            if model.actuator_ctrllimited[each] and model.actuator_biastype[each] == mujoco.mjtBias.mjBIAS_NONE:
                 least = np.abs(model.actuator_ctrlrange[each]).min()
                 found.append(gear * abs(model.actuator_gainprm[each, 0]) * least)
         return float(min(found)) if found else None
 
     def _add_geometry(self, geom: int, link: Element) -> None:
         model, kind, size = self._model, int(self._model.geom_type[geom]), self._model.geom_size[geom]
-        if kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD) and not model.geom_bodyid[geom]:
+        if kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
+            body = self._bodies[model.geom_bodyid[geom]]
+            self._assumed += [f"capsules: a plane of {body} is left out"] * bool(model.geom_bodyid[geom])
             return
         collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
         element = SubElement(link, "collision" if collides else "visual")

@@ -140,6 +140,10 @@ def check_weight(faults: Faults, model: RobotModel) -> None:
             faults.limits(joint.name, {"effort": joint.torque_limit}, why)
 
 
+_THICK = 1.0
+"""Radius of a link, m, that no arm has."""
+
+
 def doubts(model: RobotModel) -> list[str]:
     """What is hardly that of a real arm, in words: efforts, masses and inertias."""
     arm, inertias = model.arm, model.arm.inertias()
@@ -156,6 +160,11 @@ def doubts(model: RobotModel) -> list[str]:
         f"effort limit of {joint.torque_limit:g} Nm"
         for joint, inertia in zip(arm.joints, inertias_at_home(arm), strict=True)
         if joint.torque_limit < _SLOW * inertia
+    ]
+    found += [
+        f"capsules: that of {arm.link_names[shape.link - 1]} has a radius of {shape.radius:.3g} m; are lengths in m?"
+        for shape in arm.capsules
+        if shape.radius > _THICK
     ]
     mass = sum(inertia.mass for inertia in inertias)
     litres = 1e3 * sum(volume(np.array(shape.start), np.array(shape.end), shape.radius) for shape in arm.capsules)

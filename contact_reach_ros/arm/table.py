@@ -140,6 +140,11 @@ def _wrong(arm: Arm) -> Iterator[str]:
     for key, names in (("joints", arm.joint_names), ("link_names", arm.link_names)):
         if len({*names, ""}) <= len(names):
             yield f"{key}: {', '.join(map(repr, names))}; expected names, and none twice"
+    if "universe" in arm.joint_names:
+        yield "joint 'universe' has the name that Pinocchio has for the base; expected another"
+    for key, name in (("base_frame", arm.base_frame), ("tip_frame", arm.tip_frame)):
+        if name in arm.link_names:
+            yield f"{key} '{name}' is a moving link, too; expected a name of its own"
     for joint, angle in zip(arm.joints, arm.home, strict=True):
         if not -_MOST_TURNS <= joint.lower < joint.upper <= _MOST_TURNS:
             limits = f"lower {joint.lower:g}, upper {joint.upper:g}"
@@ -178,6 +183,9 @@ def _wrong_thresholds(arm: Arm) -> Iterator[str]:
             yield unknown_key(name, list(known), "defaults", "threshold")
         elif name != _POSTURE and not min(values) >= 0.0:
             yield f"{name} = {list(values)}; expected numbers of at least 0"
+        elif name == "torque_thresholds" and (np.array(values) > arm.torque_limits).any():
+            limits = ", ".join(f"{limit:g}" for limit in arm.torque_limits)
+            yield f"{name} = {list(values)}; expected no more than the joints' torque limits, {limits} Nm"
 
 
 def check_gravity(gravity: Vector3, source: str) -> None:
@@ -258,5 +266,5 @@ def _check_keys(given: Any, taken: Any, source: str) -> None:
     elif isinstance(given, list):
         for one, other in zip(given, taken, strict=True):
             _check_keys(one, other, source)
-    elif isinstance(given, float) and not abs(given) <= _MOST:
+    elif isinstance(given, int | float) and not abs(given) <= _MOST:
         raise SettingsError(f"{source} = {given:g}; expected a finite number")

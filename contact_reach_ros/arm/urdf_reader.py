@@ -36,6 +36,7 @@ from contact_reach_ros.arm.table import (
     gravity_in,
 )
 from contact_reach_ros.arm.urdf_tree import (
+    ENDLESS,
     LIMITS,
     RANGE,
     TENSOR,
@@ -60,6 +61,10 @@ _GRIPPER = re.compile(r"jaw|finger|claw|knuckle|thumb", re.IGNORECASE)
 """In names of joints and of the links that they move, and gripper in those of joints: what grips is no part of the
 arm."""
 _ROUNDING = 1e-10
+_TURNS = 4.0 * math.pi
+"""Greatest position, rad or m, at which a joint without limits is held."""
+_BESIDE = 0.01
+"""How far beyond its limits a joint may be held, rad or m: these are rounded."""
 _DIGITS = 12
 """Decimals of joints' places, m."""
 
@@ -108,8 +113,13 @@ class _Reader:
         for key in ("inertias", "capsules"):
             self._check_names(key, getattr(options, key), tree.links, "link")
         for joint, given in options.limits.items():
-            for key in given.keys() - set(LIMITS):
-                raise SettingsError(unknown_key(key, LIMITS, f"{file}: limits: {joint}"))
+            for key, value in given.items():
+                if key not in LIMITS:
+                    raise SettingsError(unknown_key(key, LIMITS, f"{file}: limits: {joint}"))
+                if abs(value) >= ENDLESS[key]:
+                    raise SettingsError(
+                        f"{file}: limits: {joint}: {key} = {value:g}; expected less than {ENDLESS[key]:g}"
+                    )
         self._moving_names: set[str] = set()
 
     def read(self) -> Reading:
@@ -146,7 +156,7 @@ class _Reader:
             joints=tuple(joints),
             link_names=tuple(part.link for part in parts[1:]),
             base_frame=base,
-            tip_frame=tip if tip != parts[-1].link else f"{tip}_tip",
+            tip_frame=tip if tip != parts[-1].link else self._new_name(f"{tip}_tip"),
             tip_offset=vector(tip_place.translation),
             tip_rotation=_quaternion(tip_place.rotation),
             capsules=found.links,
@@ -312,6 +322,11 @@ class _Reader:
         """Position at which a joint is held, rad or m: as the options have it, as its leader's, or the nearest to 0."""
         position = self.options.fixed.get(joint.name)
         if position is not None:
+            limits = {"lower": -_TURNS, "upper": _TURNS, **joint.limits()[0], **self.options.limits.get(joint.name, {})}
+            unit = "m" if joint.kind == "prismatic" else "rad"
+            if not limits["lower"] - _BESIDE <= position <= limits["upper"] + _BESIDE:
+                within = f"from {limits['lower']:.6g} to {limits['upper']:.6g} {unit}"
+                raise SettingsError(f"{self.file}: fixed: {joint.name} = {position:g}; expected {within}")
             return position
         if mimicked := joint.mimicked():
             leader, multiplier, offset = mimicked
@@ -343,12 +358,12 @@ class _Reader:
         return Joint(joint.name, offset, turn, lower, upper, velocity, effort, armature)
 
     def _show_visuals(self, parts: Sequence[Part]) -> None:
-        """Let visual geometry stand for that of moving parts, and of fixed bodies, which have no other.
+        """Let visual geometry stand for that of links with a mass, and of moving parts, which have no other.
 
         Fixed links without a mass are taken for marks, unless no fixed link has any geometry that counts.
         """
-        shown = []
-        bodies = [(name,) for name in parts[0].places if self._own_inertia(name) is not None]
+        shown: list[str] = []
+        bodies = [(name,) for part in parts for name in part.places if self._own_inertia(name) is not None]
         for names in (*bodies, *(tuple(part.places) for part in parts)):
             links = [self.tree.links[name] for name in names]
             if any(link.find("collision") is not None for link in links) or set(names) & set(self.options.capsules):
@@ -358,10 +373,21 @@ class _Reader:
                 visual.tag = "collision"
                 check_numbers(link, f"{self.file}: link '{link.get('name')}'")
             shown += [link.get("name", "") for link, _ in visuals]
+        marks = [name for name in parts[0].places if name not in self.options.capsules and self._is_mark(name)]
+        self.assumed += [f"capsules: none on {name}, taken for a mark since it has no mass" for name in marks]
         if shown:
             self.assumed.append(
                 f"capsules: by visual geometry, since there is no other: {', '.join(dict.fromkeys(shown))}"
             )
+
+    def _new_name(self, name: str) -> str:
+        """One that no link has."""
+        return self._new_name(f"{name}_") if name in self.tree.links else name
+
+    def _is_mark(self, name: str) -> bool:
+        """Whether a link has only visual geometry."""
+        link = self.tree.links[name]
+        return link.find("collision") is None and link.find("visual") is not None
 
 
 def _grips(joint: UrdfJoint) -> bool:

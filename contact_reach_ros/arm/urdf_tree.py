@@ -33,7 +33,7 @@ _MIMIC = {"multiplier": 1.0, "offset": 0.0}
 _NUMBERS = {*_COUNTS, *LIMITS, *TENSOR, *_SIZES, *_SOFT, *_MIMIC, "value"}
 _READ = ("inertial", "collision", "origin", "axis", "limit", "safety_controller", "mimic", "dynamics")
 """Elements of links and joints that an arm is made of."""
-_ENDLESS = {"lower": 1e3, "upper": 1e3, "velocity": 1e3, "effort": 1e5}
+ENDLESS = {"lower": 1e3, "upper": 1e3, "velocity": 1e3, "effort": 1e5}
 """Limits from here on, rad, rad/s, N m, stand for none: exporters write 1e16."""
 _TURN = round(2.0 * math.pi, 4)
 
@@ -67,14 +67,14 @@ class UrdfJoint(NamedTuple):
             found = {key: value for key, value in found.items() if key not in RANGE}
         soft = numbers_in(self.element, "safety_controller", _SOFT)
         low, high = max(hard[0], soft.get(_SOFT[0], hard[0])), min(hard[1], soft.get(_SOFT[1], hard[1]))
-        if self.kind != "continuous" and low < high and (low, high) != hard:
+        if low < high and (low, high) != hard:
             found |= {"lower": low, "upper": high}
             remark = f" from {low:g} to {high:g} rad, its soft ones"
         for key in RANGE:
-            if abs(found.get(key, 0.0)) >= _ENDLESS[key]:
+            if abs(found.get(key, 0.0)) >= ENDLESS[key]:
                 found[key] = math.copysign(_TURN, found[key])
                 remark = ", which is continuous, turns once to either side"
-        return {key: value for key, value in found.items() if key in RANGE or 0.0 < value < _ENDLESS[key]}, remark
+        return {key: value for key, value in found.items() if key in RANGE or 0.0 < value < ENDLESS[key]}, remark
 
     def mimicked(self) -> tuple[str, float, float] | None:
         """The joint that this one follows, with factor and offset, rad or m; None if it moves on its own."""

@@ -25,7 +25,7 @@ NAME = "bringup"
 
 
 def main() -> None:
-    """Bring the stack up and supervise it until Ctrl-C, SIGTERM or the end of one process."""
+    """Bring the stack up and supervise it until Ctrl-C, SIGTERM, SIGHUP or the end of one process."""
     sys.exit(run_bringup(sys.argv))
 
 

@@ -5,16 +5,18 @@ Each returns its exit code: 0 done, 1 refused or not done; a `ContactReachError`
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
 
 from contact_reach_ros.arm import Array
-from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.planning.settings import SPEED_SCALE
 from contact_reach_ros.ros.client import Outcome, StackClient, connect
 from contact_reach_ros.ros.interfaces import PLANNER
+from contact_reach_ros.timing import process_began_ns
 from contact_reach_ros.world.goal import POSE
 
 
@@ -44,6 +46,7 @@ def goto(
     namespace
         Of the stack.
     """
+    _check_timeout(timeout)
     rotation = None if rpy is None else pin.rpy.rpyToMatrix(*rpy)
     with connect(discovery, namespace) as client:
         client.wait_until_ready()
@@ -61,6 +64,7 @@ def home(wait: bool = False, timeout: float = 30.0, discovery: str = "host", nam
     """
     from contact_reach_ros.arm.model import RobotModel
 
+    _check_timeout(timeout)
     with connect(discovery, namespace) as client:
         client.wait_until_ready()
         return _go(client, *RobotModel(client.arm).tip_pose(np.array(client.arm.home)), wait, timeout)
@@ -80,17 +84,29 @@ def stop(discovery: str = "host", namespace: str = "") -> int:
 
 
 def reset(discovery: str = "host", namespace: str = "") -> int:
-    """Release all stops; while that is refused, as before the arm is at rest, it is tried again for some seconds."""
+    """Release all stops; while that is refused, as before the arm is at rest, it is tried again for some seconds.
+
+    Those that came after the command was given stay.
+    """
     with connect(discovery, namespace) as client:
-        return _report(client.release_all())
+        return _report(client.release_all(asked_ns=process_began_ns()))
 
 
 def _go(client: StackClient, position: Array, rotation: Array | None, wait: bool, timeout: float) -> int:
     outcome = client.go(position, rotation)
     if outcome.done and wait:
         print(outcome.text, flush=True)
-        outcome = client.watch(timeout)
+        try:
+            outcome = client.watch(timeout)
+        except KeyboardInterrupt:
+            print("the arm goes on to the goal; to stop it: contact-reach stop")
+            raise
     return _report(outcome)
+
+
+def _check_timeout(timeout: float) -> None:
+    if not 0.0 < timeout < math.inf:
+        raise InputError(f"timeout = {timeout:g} s; expected a positive number")
 
 
 def _report(outcome: Outcome) -> int:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -52,8 +54,8 @@ class StackError(ContactReachError):
 class StackProcesses:
     """The processes of a stack, which end with the context that this manages; it is not entered beside another stack.
 
-    From its creation on SIGINT and SIGTERM are only noted, and `check` raises `KeyboardInterrupt`. Python would raise
-    it anywhere, also where rclpy's C++ makes a Python object and then reports another error, and a second Ctrl-C would
+    From its creation on SIGINT, SIGTERM and SIGHUP are only noted, and `check` raises `KeyboardInterrupt`. Python would
+    raise it anywhere, also where rclpy's C++ makes a Python object and then reports another error, and a second Ctrl-C would
     leave processes behind.
 
     Parameters
@@ -91,8 +93,10 @@ class StackProcesses:
         self._passed_on = passed_on
         self._signal: int | None = None
         """The last signal that came."""
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._interrupt)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            # As with nohup.
+            if signal.getsignal(number) is not signal.SIG_IGN or number != signal.SIGHUP:
+                signal.signal(number, self._interrupt)
         self._table = processes(options, client.node.get_namespace())
         self._names = [process.name for process in self._table]
         self.parameter_file = options.parameter_file
@@ -240,6 +244,10 @@ class StackProcesses:
 
     def _interrupt(self, number: int, _: object) -> None:
         self._signal = number
+        for stream in (1, 2) if number == signal.SIGHUP else ():
+            # The terminal is gone: whatever is written there is an error from now on.
+            if stat.S_ISCHR(os.fstat(stream).st_mode):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
 
     def _start(self, process: Process) -> None:
         arguments = [

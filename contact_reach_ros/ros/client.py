@@ -200,6 +200,8 @@ class StackClient(Client):
         self.summaries: dict[str, str] = {}
         self.stops: dict[str, str] = {}
         self.safety: dict[str, str] = {}
+        self._stopped_ns: dict[str, int] = {}
+        """When nodes stopped that had been known before, ns since the epoch."""
         self.settings: dict[str, dict[str, Any]] = {}
         self.goal_state: GoalState | None = None
         self._goal_ns = 0
@@ -285,19 +287,25 @@ class StackClient(Client):
         self.spin(_SETTLED_S)
         self.until(everybody, _FOUND_S)
 
-    def release_all(self, timeout: float = _REST_S) -> Outcome:
+    def release_all(self, timeout: float = _REST_S, asked_ns: int | None = None) -> Outcome:
         """Reset all nodes if one is stopped, and look again, until none is stopped or the time, s, is over.
+
+        Stops that came after the release was asked for, at `asked_ns` (ns since the epoch, by default now), stay:
+        whoever asked did not know of them. But a drive closes its brakes after the stop that is to be released.
 
         Until the arm is at rest a reset is refused; and a drive closes its brakes on its own soon after the stop of the
         controller, perhaps just when that is being released. A controller that stops again has found why: once the
         brakes are open, the hand-over shows what pushes the arm.
         """
-        give_up = time.monotonic() + timeout
+        give_up, asked_ns = time.monotonic() + timeout, time.time_ns() if asked_ns is None else asked_ns
         outcome, was_released = Outcome(True, NOTHING), False
         while True:
             self.hear_stops()
             if not self.stops:
                 return outcome
+            since = {name for name in self.stops if self._stopped_ns.get(name, 0) > asked_ns}
+            if since & {CONTROLLER, OBSERVER} or since == self.stops.keys():
+                return Outcome(False, f"not reset, stopped meanwhile: {self.why_stopped}; look why, and reset again")
             if was_released and CONTROLLER in self.stops:
                 return Outcome(False, f"reset, and stopped again: {self.why_stopped}")
             if time.monotonic() > give_up:
@@ -397,10 +405,14 @@ class StackClient(Client):
             self.arm = arm_in(settings, PLANNER)
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
+        was_free = message.name in self.safety and message.name not in self.stops
         self.safety[message.name] = message.message
-        self.stops.pop(message.name, None)
-        if is_stopped(message):
-            self.stops[message.name] = message.message
+        if not is_stopped(message):
+            self.stops.pop(message.name, None)
+            return
+        self.stops[message.name] = message.message
+        if was_free:
+            self._stopped_ns[message.name] = self.inbox.sent_ns
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

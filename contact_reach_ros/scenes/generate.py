@@ -34,7 +34,7 @@ _FOAM = 1
 """Keeps the random numbers of the mismatch independent of those of the places."""
 
 
-def load_scene(name: str, arm: Arm | None = None, seed: int = 0, target: ArrayLike | None = None) -> Scene:
+def load_scene(name: str, arm: Arm | str | None = None, seed: int = 0, target: ArrayLike | None = None) -> Scene:
     """Load a scene of the package, or of a YAML file, and make it concrete.
 
     Parameters
@@ -42,7 +42,7 @@ def load_scene(name: str, arm: Arm | None = None, seed: int = 0, target: ArrayLi
     name
         Name of a scene in config/scenes, or the path of a YAML file.
     arm
-        Arm for which target and obstacles are placed; None for the iiwa 14.
+        Arm for which target and obstacles are placed, or its name or file; None for the iiwa 14.
     seed
         The same seed gives the same scene.
     target
@@ -55,7 +55,8 @@ def load_scene(name: str, arm: Arm | None = None, seed: int = 0, target: ArrayLi
     """
     if seed < 0:
         raise SceneError(f"seed = {seed!r}: expected an integer from 0 on")
-    return make_scene(read_scene(name), arm or load_arm(), seed, target)
+    arm = arm if isinstance(arm, Arm) else load_arm() if arm is None else load_arm(arm)
+    return make_scene(read_scene(str(name)), arm, seed, target)
 
 
 def parse_target(text: str) -> Array | None:

@@ -23,7 +23,7 @@ from contact_reach_ros.messages.conversions import to_status, to_stop_state, to_
 from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros import client as client_module
-from contact_reach_ros.ros.client import StackClient
+from contact_reach_ros.ros.client import Outcome, StackClient
 from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -125,6 +125,41 @@ def test_whoever_takes_commands_is_waited_for(client, monkeypatch):
         report(controller, name, "")
     client.hear_stops()
     assert client.stops == {"driver": "silence"}
+
+
+@pytest.mark.parametrize(("name", "stays"), [("controller", True), ("observer", True), ("driver", False)])
+def test_a_stop_that_comes_while_another_is_being_released_stays(name, stays, client, monkeypatch):
+    """But a drive closes its brakes after the stop of the controller."""
+    other, asked = "controller" if name == "observer" else "observer", []
+
+    def tell(node, reason):
+        client.inbox.sent_ns = time.time_ns()
+        client._on_safety(to_stop_state(node, ARM, reason, "", {}))
+
+    def release(names):
+        asked.append(set(names))
+        for each in list(client.stops):
+            tell(each, "")
+        return Outcome(True, "released")
+
+    tell(name, "")
+    tell(other, "an old one")
+    monkeypatch.setattr(client, "hear_stops", lambda: None if asked else tell(name, "stop service called"))
+    monkeypatch.setattr(client, "release", release)
+    outcome = client.release_all()
+    assert outcome.done != stays and bool(asked) != stays
+    if stays:
+        assert outcome.text.startswith("not reset, stopped meanwhile: ") and "stop service called" in outcome.text
+
+
+def test_a_stop_of_which_the_history_is_heard_is_released(client, monkeypatch):
+    """Its states, one before the stop and the stop, are from before."""
+    for reason in ("", "an old one"):
+        client.inbox.sent_ns = time.time_ns()
+        client._on_safety(to_stop_state("controller", ARM, reason, "", {}))
+    monkeypatch.setattr(client, "hear_stops", lambda: None)
+    monkeypatch.setattr(client, "release", lambda names: client.stops.clear() or Outcome(True, "released"))
+    assert client.release_all() == Outcome(True, "released")
 
 
 def test_states_of_other_goals_do_not_count(client):
