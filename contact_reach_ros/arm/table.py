@@ -124,6 +124,9 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
     return dataclasses.replace(arm, defaults={**assumptions.defaults(arm), **arm.defaults})
 
 
+NAME_OF_PINOCCHIO = "joint 'universe' has the name that Pinocchio has for the base; expected another"
+
+
 def check_arm(arm: Arm, source: str) -> None:
     """Check that an arm can have its numbers, whatever they come from.
 
@@ -141,7 +144,7 @@ def _wrong(arm: Arm) -> Iterator[str]:
         if len({*names, ""}) <= len(names):
             yield f"{key}: {', '.join(map(repr, names))}; expected names, and none twice"
     if "universe" in arm.joint_names:
-        yield "joint 'universe' has the name that Pinocchio has for the base; expected another"
+        yield NAME_OF_PINOCCHIO
     for key, name in (("base_frame", arm.base_frame), ("tip_frame", arm.tip_frame)):
         if name in arm.link_names:
             yield f"{key} '{name}' is a moving link, too; expected a name of its own"

@@ -27,6 +27,7 @@ from contact_reach_ros.arm.rotations import frame_about, quaternion_from_rotatio
 from contact_reach_ros.arm.table import (
     ARMATURE,
     MAX_JOINTS,
+    NAME_OF_PINOCCHIO,
     ArmOptions,
     arm_of_table,
     check_arm,
@@ -130,6 +131,9 @@ class _Reader:
         self._check_names("tip", {tip: None}, tree.links, "link")
         moving = self._moving(base, tip)
         self._moving_names = {joint.name for joint in moving}
+        if "universe" in self._moving_names:
+            # With it Pinocchio ends the process.
+            raise SettingsError(f"{self.file}: {NAME_OF_PINOCCHIO}")
         # As the description has it, unless it is given for all joints or each; MJCF has 0 where it says nothing.
         own = [numbers_in(joint.element, "dynamics", ("armature",)).get("armature") or ARMATURE for joint in moving]
         given = own if options.armature is None else options.armature

@@ -55,8 +55,8 @@ class StackProcesses:
     """The processes of a stack, which end with the context that this manages; it is not entered beside another stack.
 
     From its creation on SIGINT, SIGTERM and SIGHUP are only noted, and `check` raises `KeyboardInterrupt`. Python would
-    raise it anywhere, also where rclpy's C++ makes a Python object and then reports another error, and a second Ctrl-C would
-    leave processes behind.
+    raise it anywhere, also where rclpy's C++ makes a Python object and then reports another error, and a second Ctrl-C
+    would leave processes behind.
 
     Parameters
     ----------

@@ -14,6 +14,7 @@ import trimesh
 import yaml
 
 from contact_reach_ros.arm.capsules import shape_segments, shapes
+from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.robot_file import read_robot_file
 from contact_reach_ros.arm.table import ArmOptions
@@ -454,6 +455,55 @@ def test_an_mjcf_is_the_arm_that_mujoco_simulates(tmp_path):
         np.testing.assert_allclose(ours.jacobian, jacobian[:, :4], rtol=0, atol=1e-9)
         np.testing.assert_allclose(ours.mass_matrix, mass[:4, :4], rtol=0, atol=1e-9)
         np.testing.assert_allclose(ours.bias, data.qfrc_bias[:4], rtol=0, atol=1e-8)
+
+
+def test_a_motor_gives_no_more_than_its_control_and_its_force_permit(tmp_path):
+    for force, expected in ((80.0, 20.0), (2.0, 10.0)):
+        text = MJCF.replace('ctrlrange="-4 6"', f'ctrlrange="-4 6" forcerange="-{force} {force}"')
+        arm, model = read(tmp_path, text, name="arm.xml").arm, mujoco.MjModel.from_xml_string(text)
+        data = mujoco.MjData(model)
+        data.ctrl[:] = -1e9
+        mujoco.mj_forward(model, data)
+        assert arm.torque_limits[3] == expected == -data.qfrc_actuator[3]
+
+
+def test_forces_of_an_mjcf_that_the_model_lacks_are_said(tmp_path):
+    text = MJCF.replace('<joint name="q1"/>', '<joint name="q1" stiffness="100"/>')
+    text = text.replace('<body name="two"', '<body name="two" gravcomp="1"')
+    text = text.replace("<worldbody>", '<worldbody><body name="floor"><geom type="plane" size="1 1 1"/></body>')
+    text = text.replace(
+        "<actuator>", '<tendon><fixed name="belt"><joint joint="q2" coef="1"/></fixed></tendon><actuator>'
+    )
+    said = "\n".join(read(tmp_path, text, name="arm.xml").assumed)
+    for part in (
+        "springs of q1 are",
+        "gravity compensation of two are",
+        "tendons belt are",
+        "a plane of floor is left out",
+    ):
+        assert part in said
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"fixed": {"j3": 90.0}}, r"fixed: j3 = 90; expected from -.* to .* rad$"),
+        ({"limits": {"j3": {"velocity": 1e3}}}, r"limits: j3: velocity = 1000; expected less than 1000$"),
+        ({"thresholds": {"torque_thresholds": [1e5] * 6}}, "torque_thresholds = .*; expected no more than the joints'"),
+    ],
+)
+def test_options_that_no_arm_has_are_refused(options, message, tmp_path):
+    with pytest.raises(SettingsError, match=message):
+        read(tmp_path, six_joints(), ArmOptions(**options))
+
+
+def test_names_that_are_those_of_others_do_no_harm_or_are_refused(tmp_path):
+    text = six_joints().replace('"j3"', '"universe"')
+    with pytest.raises(SettingsError, match="joint 'universe' has the name that Pinocchio has"):
+        read(tmp_path, text)
+    arm = read(tmp_path, six_joints("").replace('"l3"', '"l6_tip"').replace('"base"', '"world"')).arm
+    assert arm.tip_frame == "l6_tip_" and arm.base_frame == "world"
+    mujoco.MjModel.from_xml_string(build_mjcf(arm))
 
 
 def test_capsules_of_an_mjcf_cover_the_geometry_that_mujoco_has(tmp_path):

@@ -261,6 +261,25 @@ def test_what_is_above_the_base_is_the_same_as_seen_from_the_root(tmp_path):
     assert named(above, self_pairs(above)) >= {("platform", "link_4"), ("platform", "link_6")}
 
 
+def test_a_link_that_is_only_shown_counts_beside_a_small_one_that_is_fixed_to_it(tmp_path):
+    shown = cylinder(0.04, 0.3).replace("collision>", "visual>")
+    bracket = link("bracket", shape('box size="0.01 0.01 0.01"', "0 0 0.1")) + joint(
+        "link_3", "bracket", "0 0 0", kind="fixed"
+    )
+    text = six_links().replace(link("link_3", cylinder(0.04, 0.3), ""), link("link_3", shown)) + bracket
+    assert "<visual>" in text
+    reading = read(tmp_path, text)
+    assert any("visual geometry" in line and "link_3" in line for line in reading.assumed)
+    (capsule,) = (each for each in reading.arm.capsules if each.link == 3)
+    assert capsule.radius > 0.035
+
+
+def test_a_mark_without_mass_is_named(tmp_path):
+    wall = '<link name="wall"><visual><geometry><box size="0.02 2 2"/></geometry></visual></link>'
+    reading = read(tmp_path, TABLE + six_links() + wall + fixed("table", "wall", "0.5 0 0"), base="base")
+    assert "capsules: none on wall, taken for a mark since it has no mass" in reading.assumed
+
+
 def test_a_table_leaves_room_above_it(tmp_path):
     arm = read(tmp_path, MOUNTED["on a table"][0], base="base").arm
     heights = [
