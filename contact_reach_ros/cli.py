@@ -6,6 +6,7 @@ import argparse
 import errno
 import io
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -234,7 +235,15 @@ def _add_robot(command: argparse.ArgumentParser) -> None:
 
 
 def _add_namespace(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--namespace", metavar="NS", help="of the stack, such as left (default: none)")
+    command.add_argument(
+        "--namespace", type=_namespace, metavar="NS", help="of the stack, such as left (default: none)"
+    )
+
+
+def _namespace(text: str) -> str:
+    if not re.fullmatch(r"/?|/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", text, re.ASCII):
+        raise argparse.ArgumentTypeError(f"'{text}': expected letters, digits and _, such as left, or robots/left")
+    return text
 
 
 def _later(place: str) -> Callable[..., int | None]:

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from contact_reach_command import contact_reach
 
+from contact_reach_ros.cli import main
+
 SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
 
 
@@ -32,6 +34,20 @@ def test_it_says_in_one_line_that_there_is_no_room_for_its_output() -> None:
         result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=300)
     assert result.returncode == 1
     assert result.stderr == "contact-reach: the output cannot be written: No space left on device\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["report", ""], "argument BAG: expected a path, not an empty text"),
+        (["up", "--namespace", "1a"], "argument --namespace: '1a': expected letters, digits and _"),
+        (["goto", "1", "2", "3", "--namespace", "ä" * 40], "expected letters, digits and _"),
+    ],
+)
+def test_what_is_no_path_or_namespace_is_refused(arguments, message, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(arguments)
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", [b"b\xc3\xa4r", b"b\xe4r"])
