@@ -8,6 +8,7 @@ import io
 import os
 import re
 import sys
+import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -132,6 +133,8 @@ def _parser() -> argparse.ArgumentParser:
         _later("bringup.commands:reset"),
         "release all stops of the running stack; the arm then waits for a new goal",
     )
+    # Now: until the stack is found, somebody may stop the arm.
+    reset.set_defaults(asked_ns=time.time_ns())
     _add_stack(reset)
 
     identify = add(

@@ -21,6 +21,7 @@ from contact_reach_ros.planning.settings import (
     ReplanningSettings,
     UnexpectedContactSettings,
 )
+from contact_reach_ros.removed import removed_parameter
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import (
     DEFAULT_PARAMETERS,
@@ -137,7 +138,9 @@ def _check_owner(names: Iterable[str], node: str, arm: Arm, source: str) -> None
     """Check that no parameter is one of other nodes only."""
     known = {other: known_parameters(sections, arm) for other, sections in SECTIONS.items()}
     for name in names:
-        if name not in known[node] and (owners := [other for other in SECTIONS if name in known[other]]):
+        if name in known[node] or removed_parameter(name):
+            continue
+        if owners := [other for other in SECTIONS if name in known[other]]:
             raise SettingsError(f"{source}: unknown key '{name}'; set it for the {' or the '.join(owners)}")
 
 

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import time
-from pathlib import Path
 
 import numpy as np
 
@@ -159,10 +156,3 @@ class Durations:
             return dict.fromkeys(PERCENTILES, math.nan)
         last = ordered.size - 1
         return {name: float(ordered[round(percent / 100.0 * last)]) / 1000.0 for name, percent in PERCENTILES.items()}
-
-
-def process_began_ns() -> int:
-    """When this process was started, ns since the epoch: to a hundredth of a second, before its imports."""
-    ticks = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
-    age_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME) - ticks * NANOSECONDS // os.sysconf("SC_CLK_TCK")
-    return time.time_ns() - age_ns

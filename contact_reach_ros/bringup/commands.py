@@ -6,6 +6,7 @@ Each returns its exit code: 0 done, 1 refused or not done; a `ContactReachError`
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,7 +17,6 @@ from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.planning.settings import SPEED_SCALE
 from contact_reach_ros.ros.client import Outcome, StackClient, connect
 from contact_reach_ros.ros.interfaces import PLANNER
-from contact_reach_ros.timing import process_began_ns
 from contact_reach_ros.world.goal import POSE
 
 
@@ -83,13 +83,14 @@ def stop(discovery: str = "host", namespace: str = "") -> int:
         return _report(client.stop())
 
 
-def reset(discovery: str = "host", namespace: str = "") -> int:
+def reset(discovery: str = "host", namespace: str = "", asked_ns: int | None = None) -> int:
     """Release all stops; while that is refused, as before the arm is at rest, it is tried again for some seconds.
 
-    Those that came after the command was given stay.
+    Those that came after the command was given, at `asked_ns` (ns since the epoch, by default now), stay.
     """
+    asked_ns = time.time_ns() if asked_ns is None else asked_ns
     with connect(discovery, namespace) as client:
-        return _report(client.release_all(asked_ns=process_began_ns()))
+        return _report(client.release_all(asked_ns=asked_ns))
 
 
 def _go(client: StackClient, position: Array, rotation: Array | None, wait: bool, timeout: float) -> int:

@@ -13,7 +13,7 @@ class Stack(StackClient):
     """Nodes that answer, refuse or are missing; the rest is missing. `looks`: who is stopped, look by look."""
 
     def __init__(self, looks=(), **answers):
-        self.looks = iter(looks)
+        self.looks, self._stopped_ns = iter(looks), {}
         self.answers = answers
         self.called = []
 
