@@ -14,6 +14,7 @@ from contact_reach_ros.arm.capsules import moving, pair_distances, self_pairs, s
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.mount import standing
+from contact_reach_ros.arm.rotations import frame_about
 from contact_reach_ros.errors import SceneError
 from contact_reach_ros.scenes.placing import capsule_links, free_path, on_hand, postures_at, target_clearance
 from contact_reach_ros.settings import Settings
@@ -30,6 +31,8 @@ _PROBES = 6
 """Targets that are tried from a start."""
 _REACHED = 5
 """Of these, those that must be reached."""
+_X_TO_Z = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+"""Permutation of the axes that makes z of x."""
 _ROLLS = 8
 _SEEDS = 60
 _STARTS = 60
@@ -139,7 +142,8 @@ def _postures(arm: Arm, position: Array, seeds: Array) -> Array:
     """
     rotations, _ = link_frames(arm, arm.home)
     out = rotations[-2][:, 2] if arm.tip_offset[2] >= 0.0 else -rotations[-2][:, 2]
-    forward = pin.Quaternion.FromTwoVectors(out, np.eye(3)[0]).matrix() @ rotations[-1]
+    # Inverse of the smallest rotation that turns x, or z in permuted axes, into it.
+    forward = (_X_TO_Z.T @ frame_about(_X_TO_Z @ out) @ _X_TO_Z).T @ rotations[-1]
     rolls = [pin.rpy.rpyToMatrix(angle, 0.0, 0.0) for angle in 2.0 * np.pi / _ROLLS * np.arange(_ROLLS)]
     goals = [Target(position, roll @ forward).of_task(arm.task) for roll in rolls]
     found = np.concatenate(
