@@ -63,8 +63,8 @@ def pytest_collection_finish(session):
 
 @pytest.fixture
 def signal_handlers():
-    """Puts the handlers of SIGINT and SIGTERM back in the end."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    """Puts the handlers of signals that end a process back in the end."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     yield
     for number, handler in before.items():
         signal.signal(number, handler)

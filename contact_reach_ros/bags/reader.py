@@ -167,11 +167,11 @@ class BagReader:
             )
         if not (spaces and spaces[0]):
             return
-        own = {name: name.removeprefix(spaces[0]) for name in names if name.startswith(f"{spaces[0]}/")}
-        others = {name: f"{name} (outside {spaces[0]})" for name in own.values() if name in names}
+        named = {name: name.removeprefix(spaces[0]) for name in names if name.startswith(f"{spaces[0]}/")}
+        named |= {name: f"{name} (outside {spaces[0]})" for name in named.values() if name in names}
         for known in channels:
             for number, channel in known.items():
-                known[number] = dataclasses.replace(channel, topic=(others | own).get(channel.topic, channel.topic))
+                known[number] = dataclasses.replace(channel, topic=named.get(channel.topic, channel.topic))
 
     def _read_topics(self) -> Mapping[str, RecordedTopic]:
         topics: dict[str, RecordedTopic] = {}

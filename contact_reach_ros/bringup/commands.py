@@ -6,7 +6,6 @@ Each returns its exit code: 0 done, 1 refused or not done; a `ContactReachError`
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -86,9 +85,8 @@ def stop(discovery: str = "host", namespace: str = "") -> int:
 def reset(discovery: str = "host", namespace: str = "", asked_ns: int | None = None) -> int:
     """Release all stops; while that is refused, as before the arm is at rest, it is tried again for some seconds.
 
-    Those that came after the command was given, at `asked_ns` (ns since the epoch, by default now), stay.
+    Those that came after the command was given stay, see `StackClient.release_all`.
     """
-    asked_ns = time.time_ns() if asked_ns is None else asked_ns
     with connect(discovery, namespace) as client:
         return _report(client.release_all(asked_ns=asked_ns))
 

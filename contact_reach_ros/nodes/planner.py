@@ -9,6 +9,7 @@ import dataclasses
 import sys
 import time
 from collections.abc import Mapping
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -95,7 +96,9 @@ class PlannerNode(ManagedNode):
         self.follow(topics.JOINT_STATES, self._on_state, hurried=False)
 
     def configure(self) -> None:
-        """Compile the solver."""
+        """Compile the solver, and load what reads obstacles: with the first ones, plans would wait for it."""
+        import_module("scipy.sparse.csgraph")
+        import_module("scipy.spatial")
         self._planner.core = self._core = RecedingHorizonPlanner(
             self.arm,
             self.settings["planning"],

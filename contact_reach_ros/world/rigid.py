@@ -95,12 +95,7 @@ class Block:
 
     def moved(self, rotation: Array, origin: Array) -> Block:
         """As `Plane.moved`."""
-        return Block(
-            self.name,
-            rotation @ self.center + origin,
-            self.size,
-            _orientation(rotation @ self.axes),
-        )
+        return Block(self.name, rotation @ self.center + origin, self.size, _orientation(rotation @ self.axes))
 
 
 RigidBody = Plane | Block

@@ -1,7 +1,9 @@
 """What a client makes of messages, without any other node; commands with a stack run in test_lockstep_stack.py."""
 
 import itertools
+import math
 import time
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,10 +16,10 @@ from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from stack_helpers import hand_in, ros
 
-from contact_reach_ros.bringup import stack_processes
+from contact_reach_ros.bringup import commands, stack_processes
 from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackProcesses
-from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_status, to_stop_state, to_time
 from contact_reach_ros.messages.goal_state import to_goal_state
@@ -150,6 +152,22 @@ def test_a_stop_that_comes_while_another_is_being_released_stays(name, stays, cl
     assert outcome.done != stays and bool(asked) != stays
     if stays:
         assert outcome.text.startswith("not reset, stopped meanwhile: ") and "stop service called" in outcome.text
+
+
+@pytest.mark.parametrize("timeout", [0.0, -1.0, math.nan, math.inf])
+def test_with_a_timeout_that_is_none_nothing_is_sent(timeout, monkeypatch):
+    monkeypatch.setattr(commands, "connect", None)
+    for send in (commands.home, lambda **options: commands.goto([0.5, 0.1, 0.3], **options)):
+        with pytest.raises(InputError, match=r"timeout = .* s; expected a positive number"):
+            send(wait=True, timeout=timeout)
+
+
+def test_ctrl_c_while_a_goal_is_pursued_says_that_the_arm_goes_on(client, monkeypatch, capsys):
+    monkeypatch.setattr(client, "go", lambda *_: Outcome(True, "taken"))
+    monkeypatch.setattr(client, "watch", Mock(side_effect=KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        commands._go(client, np.zeros(3), None, True, 30.0)
+    assert "the arm goes on to the goal; to stop it: contact-reach stop" in capsys.readouterr().out
 
 
 def test_a_stop_of_which_the_history_is_heard_is_released(client, monkeypatch):

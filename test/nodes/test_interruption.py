@@ -16,8 +16,10 @@ from contact_reach_ros.bringup.stack_processes import StackProcesses
 
 
 @pytest.mark.usefixtures("signal_handlers")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_is_raised_where_it_is_asked_for_and_ignored_while_all_is_ended(number):
+    # Not as with nohup.
+    signal.signal(number, signal.SIG_DFL)
     stack = StackProcesses(Mock(), BringupOptions())
     stack.check()
     os.kill(os.getpid(), number)
