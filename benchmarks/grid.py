@@ -100,7 +100,6 @@ class Setup:
     scene's."""
     timeout: float = 20.0
     """Time to reach the goal, s, for methods that follow no path."""
-    via: tuple[float, float, float] | None = None
     """A first goal, m: see `EpisodeOptions`."""
 
     @classmethod
@@ -136,7 +135,6 @@ class Setup:
             hold_orientation=goal == "hold",
             until_settled=True,
             patience=PATIENCE,
-            via=self.via,
             budget=self.budget,
             noise_seed=noise_seed,
             # Nothing but the plan keeps torques that are applied as they are from moving the arm too fast.
