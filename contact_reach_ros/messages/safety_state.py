@@ -17,6 +17,9 @@ MONITORING = "monitoring"
 STOP_CODE = "stop code"
 """Key of the code of what stopped the arm, see `StopCode`."""
 
+STOPS_CALLED = "stops called"
+"""Key of how often a controller's `~/stop` was called: also a stop of an arm that is stopped already is news."""
+
 OK, WARN, ERROR = 0, 1, 2
 """Levels of a diagnostic_msgs/msg/DiagnosticStatus."""
 
@@ -71,6 +74,11 @@ def read_level(message: Any) -> int:
 def is_stopped(message: Any) -> bool:
     """Whether a safety state of any node reports a stop."""
     return read_level(message) >= ERROR
+
+
+def stops_called(message: Any) -> str:
+    """How often the stop of the node that sent this safety state was called; empty if it does not report it."""
+    return next((item.value for item in message.values if item.key == STOPS_CALLED), "")
 
 
 def read_verdict(message: Any, arm: Arm) -> Verdict:

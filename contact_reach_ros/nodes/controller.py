@@ -21,7 +21,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_stop_state
 from contact_reach_ros.messages.intake import Taken
 from contact_reach_ros.messages.plan_reader import PlanReader
-from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
+from contact_reach_ros.messages.safety_state import STOPS_CALLED, read_in_force, read_verdict
 from contact_reach_ros.messages.serialized import JointStateReader, command_writer
 from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.observer.budget import BUDGET, load_budget
@@ -75,7 +75,7 @@ class ControllerNode(StoppableNode):
             self._controller.watch_with(self._make_watcher())
         self._controller.not_yet = "still looking for other publishers"
         self._compute = Durations()
-        self._published_mode: tuple[Mode, str] | None = None
+        self._published: tuple[Mode, str, int] | None = None
         self.exclude([*ALONE, topics.SAFETY_STATE, *adapted])
         after = [ADAPTER] if commands is topics.ADAPTER_COMMANDS else []
         self.follow(topics.JOINT_STATES, self._on_state, after=after)
@@ -161,7 +161,7 @@ class ControllerNode(StoppableNode):
             self._intake.outputs += 1
         self._compute.add(time.monotonic_ns() - self.inbox.handled_ns)
         controller.watch(state, clock_ns)
-        if (controller.mode, controller.stop_reason) != self._published_mode:
+        if (controller.mode, controller.stop_reason, self.stops_called) != self._published:
             self._publish_safety()
 
     def _on_settings(self, message: DiagnosticStatus) -> None:
@@ -190,12 +190,13 @@ class ControllerNode(StoppableNode):
 
     def _publish_safety(self) -> None:
         controller = self._controller
-        self._published_mode = (controller.mode, controller.stop_reason)
+        self._published = (controller.mode, controller.stop_reason, self.stops_called)
         if controller.stop_reason:
             # Bags must not end between a stop and what led to it.
             self._intake.flush()
         mode = controller.mode.value
-        self._safety.publish(to_stop_state(self.NAME, self.arm, controller.stop_reason, mode, {"mode": mode}))
+        values = {"mode": mode, STOPS_CALLED: str(self.stops_called)}
+        self._safety.publish(to_stop_state(self.NAME, self.arm, controller.stop_reason, mode, values))
         if controller.stop_reason:
             is_silent = controller.mode is Mode.SILENT
             what = "stop, without commands" if is_silent else "compliant stop"

@@ -26,7 +26,7 @@ from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose, to_time
 from contact_reach_ros.messages.goal_state import describe, read_goal_state
-from contact_reach_ros.messages.safety_state import is_stopped
+from contact_reach_ros.messages.safety_state import is_stopped, stops_called
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
@@ -201,7 +201,8 @@ class StackClient(Client):
         self.stops: dict[str, str] = {}
         self.safety: dict[str, str] = {}
         self._stopped_ns: dict[str, int] = {}
-        """When nodes stopped that had been known before, ns since the epoch."""
+        """When nodes stopped that had been known before, or their stop was called again, ns since the epoch."""
+        self._stops_called: dict[str, str] = {}
         self.settings: dict[str, dict[str, Any]] = {}
         self.goal_state: GoalState | None = None
         self._goal_ns = 0
@@ -406,12 +407,14 @@ class StackClient(Client):
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
         was_free = message.name in self.safety and message.name not in self.stops
-        self.safety[message.name] = message.message
+        called = stops_called(message)
+        is_called_again = called != self._stops_called.get(message.name, called)
+        self.safety[message.name], self._stops_called[message.name] = message.message, called
         if not is_stopped(message):
             self.stops.pop(message.name, None)
             return
         self.stops[message.name] = message.message
-        if was_free:
+        if was_free or is_called_again:
             self._stopped_ns[message.name] = self.inbox.sent_ns
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

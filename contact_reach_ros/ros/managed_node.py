@@ -371,6 +371,7 @@ class StoppableNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__()
+        self.stops_called = 0
         self.offer("~/stop", self._answer_stop)
         self.offer("~/reset", self._answer_reset)
 
@@ -408,6 +409,7 @@ class StoppableNode(ManagedNode):
 
     def _answer_stop(self) -> str:
         # The loop may be slow to answer, but it will stop.
+        self.stops_called += 1
         self.inbox.post(lambda: self.stop_for(requested("stop service called")))
         return self.STOPPED
 

@@ -23,6 +23,7 @@ from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_status, to_stop_state, to_time
 from contact_reach_ros.messages.goal_state import to_goal_state
+from contact_reach_ros.messages.safety_state import STOPS_CALLED
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
 from contact_reach_ros.ros import client as client_module
 from contact_reach_ros.ros.client import Outcome, StackClient
@@ -152,6 +153,17 @@ def test_a_stop_that_comes_while_another_is_being_released_stays(name, stays, cl
     assert outcome.done != stays and bool(asked) != stays
     if stays:
         assert outcome.text.startswith("not reset, stopped meanwhile: ") and "stop service called" in outcome.text
+
+
+def test_a_stop_that_is_called_again_while_the_first_is_being_released_stays(client, monkeypatch):
+    def tell(calls):
+        client.inbox.sent_ns = time.time_ns()
+        client._on_safety(to_stop_state("controller", ARM, "stop service called", "", {STOPS_CALLED: str(calls)}))
+
+    monkeypatch.setattr(client, "release", None)
+    tell(1)
+    monkeypatch.setattr(client, "hear_stops", lambda: tell(2))
+    assert client.release_all().text.startswith("not reset, stopped meanwhile: ")
 
 
 @pytest.mark.parametrize("timeout", [0.0, -1.0, math.nan, math.inf])

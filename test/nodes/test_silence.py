@@ -15,7 +15,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.supervisor import Mode
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_status, to_time
-from contact_reach_ros.messages.safety_state import DISTRUST, ERROR, OK
+from contact_reach_ros.messages.safety_state import DISTRUST, ERROR, OK, is_stopped, stops_called
 from contact_reach_ros.messages.serialized import command_writer, joint_state_writer
 from contact_reach_ros.nodes.controller import ControllerNode
 from contact_reach_ros.nodes.driver import DriverNode
@@ -95,6 +95,16 @@ def test_a_controller_that_commands_nothing_is_done_with_a_state_all_the_same(mo
     at_rest.give()
     assert len(controller.commands) == 2 and done == [TICK_NS, 2 * TICK_NS, 3 * TICK_NS]
     assert "an encoder is stuck; nothing is commanded" in controller._controller.stop_reason
+
+
+def test_a_stop_of_a_stopped_controller_is_published_too(controller):
+    published, at_rest = [], AtRest(controller)
+    controller._safety.publish = published.append
+    at_rest.give(2)
+    for calls in (1, 2):
+        controller._answer_stop()
+        at_rest.give(2)
+        assert stops_called(published[-1]) == str(calls) and is_stopped(published[-1])
 
 
 def test_with_open_brakes_time_stands_still_until_the_planner_has_had_a_goal(monkeypatch):
