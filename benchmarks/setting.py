@@ -27,6 +27,9 @@ from contact_reach_ros.world.scene_file import read_scene
 LATENCY = "latency"
 """Not a setting of the planner: time between plans and from a state to the effect of its plan, s."""
 
+PERIOD = "period"
+"""Nor is this: time from the beginning of a plan to that of the next, s."""
+
 _GAINS = frozenset(field.name for field in dataclasses.fields(ImpedanceSettings))
 
 _SLOWER = 1.1
@@ -40,7 +43,7 @@ class Sweep:
     Attributes
     ----------
     name, values
-        Of a field of `PlanningSettings` or `ImpedanceSettings`, or `LATENCY`, and what it takes.
+        Of a field of `PlanningSettings` or `ImpedanceSettings`, `LATENCY` or `PERIOD`, and what it takes.
     scenes, methods
         Names or YAML files, and some of `METHODS`.
     targets, seed
@@ -89,6 +92,8 @@ class Sweep:
             # As in Table I, the next plan is begun when the last one is ready.
             latency = float(planning.pop(LATENCY))
             replanning = ReplanningSettings(period=latency, latency=latency)
+        if PERIOD in planning:
+            replanning = dataclasses.replace(replanning, period=float(planning.pop(PERIOD)))
         gains = {name: planning.pop(name) for name in _GAINS & planning.keys()}
         return Setup(
             arm=self.arm,
@@ -192,7 +197,9 @@ def _assignments(pairs: Sequence[str]) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """The command line."""
     parser = command_line(__doc__, spread=True)
-    parser.add_argument("name", help="a parameter of section 'planning' or 'impedance', as contact_weight; or latency")
+    parser.add_argument(
+        "name", help="a parameter of section 'planning' or 'impedance', as contact_weight; latency; or period"
+    )
     parser.add_argument("values", nargs="+", type=yaml.safe_load, metavar="VALUE", help="values that it takes")
     parser.add_argument("--scenes", nargs="+", metavar="SCENE", help="names or YAML files (default: ball wall)")
     parser.add_argument("--methods", nargs="+", metavar="METHOD", help="as for table1 (default: contact_reach)")
