@@ -117,7 +117,7 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
     _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m")
     client.send_goal(target, stamp_ns=stack.stamp_ns)
     client.wait_for(lambda: [] if client.goal_state else [topics.GOAL_STATE.name])
-    end_ns, said_at = stack.stamp_ns + round(_TIMEOUT_S * NANOSECONDS), 0.0
+    end_ns, said, said_at = stack.stamp_ns + round(_TIMEOUT_S * NANOSECONDS), "", 0.0
     while (state := client.goal_state) is not None:
         now = time.monotonic()
         if client.stops or state.phase.is_over:
@@ -126,10 +126,11 @@ def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, vi
         if state.phase is GoalPhase.SETTLED:
             end_ns = min(end_ns, stack.stamp_ns + round(_SETTLE_S * NANOSECONDS))
         is_over = bool(client.stops) or state.phase.is_over or stack.stamp_ns > end_ns
-        if is_over or now - said_at >= _LINE_S:
-            doing = f"stopped by {client.why_stopped}" if client.stops else client.safety[CONTROLLER]
-            _say(f"{describe(state)}; {doing}")
-            said_at = now
+        doing = f"stopped by {client.why_stopped}" if client.stops else client.safety[CONTROLLER]
+        line = f"{describe(state)}; {doing}"
+        if line != said and (is_over or now - said_at >= _LINE_S):
+            _say(line)
+            said, said_at = line, now
         if is_over:
             return
         stack.watch(_LOOK_S)
