@@ -5,6 +5,7 @@ The loop thread is the worker that solves; the executor meanwhile serves service
 
 from __future__ import annotations
 
+import array
 import dataclasses
 import sys
 import time
@@ -13,22 +14,26 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from contact_reach_ros.arm.urdf import build_urdf
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS, ControllerSettings
 from contact_reach_ros.errors import ContactReachError, FrameError, InputError, SettingsError
 from contact_reach_ros.messages import topics
+from contact_reach_ros.messages.conversions import to_status
+from contact_reach_ros.messages.goal_state import to_goal_state
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
+from contact_reach_ros.messages.plan_request import Parts, request_parts
 from contact_reach_ros.messages.safety_state import is_stopped, read_contact
 from contact_reach_ros.messages.serialized import JointStateReader, decode
 from contact_reach_ros.messages.values import goal_values, nanoseconds, quaternion, vector
-from contact_reach_ros.nodes.planner_output import PlannerOutput
+from contact_reach_ros.nodes.planner_output import to_header, to_markers, to_path, to_references
 from contact_reach_ros.observer.budget import BUDGET, load_budget
 from contact_reach_ros.observer.settings import OBSERVER_SECTIONS
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
@@ -47,6 +52,8 @@ from contact_reach_ros.timing import Durations
 from contact_reach_ros.world.goal import POSE, Goal
 
 _POLL_NS = 3_000_000
+_SHOWN_EVERY_NS = 100_000_000
+"""Time between markers of plans, and between states of a goal that is pursued, ns."""
 
 
 class PlannerNode(ManagedNode):
@@ -77,7 +84,15 @@ class PlannerNode(ManagedNode):
             self.settings["impedance"].task,
             self.settings[BUDGET],
         )
-        self._output = PlannerOutput(self)
+        self._poses = self.make_publisher(topics.REFERENCE_POSE)
+        self._postures = self.make_publisher(topics.REFERENCE_POSTURE)
+        self._path = self.make_publisher(topics.PLAN_PATH)
+        self._goal_states = self.make_publisher(topics.GOAL_STATE)
+        self._markers = self.make_publisher(topics.PLAN_MARKERS)
+        self._statistics = self.make_publisher(topics.PLAN_STATISTICS)
+        self._requests = self.make_publisher(topics.PLAN_REQUEST)
+        self._markers_due_ns = self._goal_state_due_ns = 0
+        self._reported: GoalPhase | None = None
         self._obstacle_reader = ObstacleMarkerReader(self.arm.base_frame, settings)
         self._frames = Frames(self, self.arm.base_frame)
         self._goals = self._goal_ns = 0
@@ -166,15 +181,18 @@ class PlannerNode(ManagedNode):
         state = self._planner.goal_state
         if had_goal and not self._planner.has_goal and state is not None:
             self.get_logger().warning(f"goal {state.phase.value}: {state.reason}")
-            self._output.withdraw()
-        self._output.follow_goal(self._planner, self._goal_ns)
+            self._publish_nothing()
+        self._follow_goal()
 
     def _make_plan(self, request: Request) -> None:
         began_ns, now_ns = time.monotonic_ns(), self.now_ns
         memory = self._core.memory
         try:
             plan = self._planner.solve(request)
-            self._output.publish(plan)
+            poses, postures = to_references(plan, self.arm)
+            self._poses.publish(poses)
+            self._postures.publish(postures)
+            self._path.publish(to_path(plan, self.arm))
         finally:
             # Simulated time stands still while a plan is made.
             passed_ns = self.now_ns - now_ns
@@ -182,18 +200,57 @@ class PlannerNode(ManagedNode):
         took_ns = time.monotonic_ns() - began_ns
         self._solve_times.add(took_ns)
         self._late += passed_ns > request.effect_ns - request.state_ns
-        self._output.show(plan)
+        if plan.effect_ns >= self._markers_due_ns:
+            self._markers.publish(to_markers(plan, self.arm))
+            self._markers_due_ns = plan.effect_ns + _SHOWN_EVERY_NS
         found = self._core.memory
         if found is not None:
             self._report_detour(found)
-            values = {
+            numbers = {
+                "plan": plan.number,
+                "state ns": request.state_ns,
+                "plans since reset": found.plans - 1,
+                "stop reason": plan.stop_reason,
+                "solve ms": 1000 * plan.solve_s,
+                **plan.statistics(),
                 "obstacles sent ns": self._seen_ns,
                 "took ms": took_ns / 1e6,
                 "contact share": found.approach.share,
+                **goal_values(request.goal.position),
             }
-            values |= goal_values(request.goal.position)
+            status = to_status(self.NAME, plan.stop_reason, numbers)
+            self._statistics.publish(DiagnosticArray(header=to_header(plan.effect_ns, self.arm), status=[status]))
             # The planner has already counted this plan; an arm that jumped made it forget what it had.
-            self._output.record(plan, request, memory if found.plans > 1 else None, found, values)
+            self._record(request_parts(plan.number, request, memory if found.plans > 1 else None, found.best))
+
+    def _record(self, parts: Parts) -> None:
+        """Publish for bags what is needed to solve a plan again, one part after the other; the dimensions name them."""
+        message = Float64MultiArray(data=array.array("d", np.concatenate(list(parts.values())).tobytes()))
+        message.layout.dim = [MultiArrayDimension(label=name, size=part.size) for name, part in parts.items()]
+        self._requests.publish(message)
+
+    def _publish_nothing(self) -> None:
+        """Publish references without a knot, so that the controller holds the arm at once, and remove the markers."""
+        self._poses.publish(MultiDOFJointTrajectory())
+        self._postures.publish(JointTrajectory(joint_names=self.arm.joint_names))
+        self._markers.publish(to_markers(None, self.arm))
+
+    def _report_goal(self, state: GoalState, stamp_ns: int) -> None:
+        """Publish what happened to a goal that was sent at `stamp_ns`."""
+        self._reported = state.phase
+        self._goal_states.publish(to_goal_state(state, stamp_ns, self.NAME, self.arm))
+
+    def _follow_goal(self, is_new: bool = False) -> None:
+        """Publish what happened to the last goal when that changes; on its way some times a second."""
+        state, seen = self._planner.goal_state, self._planner.state
+        if state is None:
+            return
+        now_ns = 0 if seen is None else seen.stamp_ns
+        # Also after the clock was set back.
+        is_due = not 0 < self._goal_state_due_ns - now_ns <= _SHOWN_EVERY_NS
+        if is_new or state.phase is not self._reported or (state.phase.is_open and is_due):
+            self._report_goal(state, self._goal_ns)
+            self._goal_state_due_ns = now_ns + _SHOWN_EVERY_NS
 
     def _report_detour(self, memory: Memory) -> None:
         """Log a detour that begins: the arm moves away from its goal."""
@@ -221,15 +278,15 @@ class PlannerNode(ManagedNode):
                 raise InputError(f"goal: {name} has stopped the arm ({why}); first: contact-reach reset")
             goes_on = self._planner.command(goal, stamp_ns)
         except InputError as error:
-            self._output.report_goal(GoalState(GoalPhase.REFUSED, str(error)), stamp_ns)
+            self._report_goal(GoalState(GoalPhase.REFUSED, str(error)), stamp_ns)
             raise
         last_ns, self._goal_ns = self._goal_ns, stamp_ns
         if goes_on:
             return
         if before is not None and before.phase.is_open:
             replaced = before._replace(phase=GoalPhase.WITHDRAWN, reason="another goal has replaced it")
-            self._output.report_goal(replaced, last_ns)
-        self._output.follow_goal(self._planner, stamp_ns, is_new=True)
+            self._report_goal(replaced, last_ns)
+        self._follow_goal(is_new=True)
         self._goals += 1
         self.get_logger().info(f"goal {self._goals}: {np.round(np.asarray(goal.position), 3).tolist()} m")
 
@@ -265,9 +322,9 @@ class PlannerNode(ManagedNode):
     def _withdraw(self, why: str) -> None:
         """Forget the goal: after a stop the arm moves again only with a new one."""
         if self._planner.plan is not None:
-            self._output.withdraw()
+            self._publish_nothing()
         self._planner.withdraw(why)
-        self._output.follow_goal(self._planner, self._goal_ns)
+        self._follow_goal()
 
 
 if __name__ == "__main__":

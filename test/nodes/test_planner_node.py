@@ -138,12 +138,12 @@ SUDDEN = " ".join(map(str, RobotModel(ARM).jacobian_at(HOME)[:3].T @ [0.0, 12.0,
 
 
 def test_an_unexpected_contact_that_stays_withdraws_the_goal_and_what_the_controller_follows(leading):
-    leading._output._poses, leading._planner.plan = Published(), PLAN
+    leading._poses, leading._planner.plan = Published(), PLAN
     pushed = {**TOUCHED, "contact_force_xyz_N": "0 12 0", "sudden_torque_Nm": SUDDEN}
     assert leading.report(**pushed).phase.is_open
     state = leading.report(**pushed)
     assert state.phase is GoalPhase.WITHDRAWN and state.reason.startswith("unexpected contact of 12 N at lbr_link_7")
-    (nothing,) = leading._output._poses.messages
+    (nothing,) = leading._poses.messages
     assert not nothing.points and leading.diagnosis()[0] == topics.WAITING_FOR_CONTROLLER
     asked = len(leading.asked)
     leading.report(level="free")
@@ -176,7 +176,7 @@ def test_goals_that_came_before_the_planner_was_active_never_move_the_arm(planne
     """They wait in the middleware while it compiles."""
     send(planner, topics.OBSTACLES, MarkerArray())
     planner.activate()
-    reports = planner._output._goal_states = Published()
+    reports = planner._goal_states = Published()
     send_goal(planner)
     send(planner, topics.GOAL_POSE, to_goal_pose(GOAL, "camera", to_time(0)))
     for tick in range(1001, 1100):
@@ -219,12 +219,12 @@ def test_a_goal_in_force_ends_with_a_gap_in_the_states_and_the_controller_hears_
     send(planner, topics.OBSTACLES, MarkerArray())
     send_goal(planner)
     planner.show(1000)
-    planner._output._poses = Published()
+    planner._poses = Published()
     planner.show(3001)
     send(planner, topics.OBSTACLES, MarkerArray())
     planner.show(3040)
     assert len(planner.asked) == 1 and planner._planner.goal_state.phase is GoalPhase.WITHDRAWN
-    (nothing,) = planner._output._poses.messages
+    (nothing,) = planner._poses.messages
     assert not nothing.points
 
 
@@ -280,10 +280,10 @@ def test_only_a_node_that_commands_the_arm_and_hears_both_halves_of_a_plan_count
 
 
 def test_a_withdrawn_plan_is_no_longer_shown(planner):
-    planner._output._marker_publisher = Published()
+    planner._markers = Published()
     planner._planner.plan = PLAN
     planner._withdraw("a stop")
-    (nothing,) = planner._output._marker_publisher.messages
+    (nothing,) = planner._markers.messages
     assert [marker.action for marker in nothing.markers] == [Marker.DELETEALL]
 
 
