@@ -10,16 +10,19 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from contact_reach_ros.arms import EVERY_SECTION, ROBOT_DIGEST, TOOL, arm_settings, load_arm, make_settings
 from contact_reach_ros.errors import ContactReachError, InputError, StopCode, StopReason, internal, requested
 from contact_reach_ros.messages.cdr import stamp_in
+from contact_reach_ros.messages.conversions import to_status
 from contact_reach_ros.messages.intake import IntakeLog, Taken
+from contact_reach_ros.messages.safety_state import OK, WARN
 from contact_reach_ros.messages.topics import (
     ALL_IS_WELL,
     DIAGNOSTICS,
@@ -332,30 +335,20 @@ class ManagedNode(LifecycleNode):
 
     def publish_settings(self) -> None:
         """Publish the settings in force, each value as JSON; bags record them."""
-        self._settings_publisher.publish(
-            DiagnosticStatus(
-                name=self.NAME,
-                message=f"contact_reach_ros {VERSION}",
-                values=[KeyValue(key=key, value=json.dumps(value)) for key, value in self.reported_settings().items()],
-            )
-        )
+        values = {name: json.dumps(value) for name, value in self.reported_settings().items()}
+        self._settings_publisher.publish(to_status(self.NAME, f"contact_reach_ros {VERSION}", values))
 
     def _publish_diagnostics(self) -> None:
         self._log_refusals()
         for line in mismatches(self, self.inbox.subscriptions, self._counts):
             self.get_logger().warning(line)
         summary, values = self.diagnosis()
-        refused: dict[str, Any] = {f"refused {what}": count for what, count in self.refused.items()}
-        refused |= {f"last refusal of {what}": text for what, text in self.boundary.reasons.items()}
-        status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if summary else DiagnosticStatus.OK,
-            name=self.get_name(),
-            message=summary or ALL_IS_WELL,
-            values=[KeyValue(key=key, value=_text(value)) for key, value in {**values, **refused}.items()],
-        )
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
+        shown = {key: f"{value:.6g}" if isinstance(value, float) else value for key, value in values.items()}
+        shown |= {f"refused {what}": count for what, count in self.refused.items()}
+        shown |= {f"last refusal of {what}": text for what, text in self.boundary.reasons.items()}
+        status = to_status(self.get_name(), summary or ALL_IS_WELL, shown, WARN if summary else OK)
+        header = Header(stamp=self.get_clock().now().to_msg())
+        self._diagnostics.publish(DiagnosticArray(header=header, status=[status]))
 
 
 class StoppableNode(ManagedNode):
@@ -418,7 +411,3 @@ class StoppableNode(ManagedNode):
             raise InputError(f"{self.rivals}: end the others first")
         self.inbox.call(self.reset)
         return self.RELEASED
-
-
-def _text(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

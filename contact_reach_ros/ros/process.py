@@ -6,9 +6,9 @@ import contextlib
 import os
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -161,19 +161,10 @@ def _serve(node: ManagedNode) -> int:
 
     An executor that had to look for signals would be awake more often than all it serves needs.
     """
-    failures: list[BaseException] = []
     asked: list[tuple[int, float]] = []
-    ended, served = threading.Event(), Future()
+    served = Future()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-
-    def work(task: Callable[[], None]) -> None:
-        try:
-            task()
-        except BaseException as error:  # handed to the main thread, which ends the process with it
-            failures.append(error)
-        ended.set()
-
     cpus = choose_cpus(node.cpus, node.role, os.sched_getaffinity(0))
     # Until the node is configured a signal ends it at once: compiling, for one, takes long and cannot be interrupted.
     end_at_signals()
@@ -209,25 +200,23 @@ def _serve(node: ManagedNode) -> int:
         give_way()
         executor.spin_until_future_complete(served)
 
-    tasks = {"loop": node.loop, "services": serve}
-    threads = [threading.Thread(target=work, args=[task], name=name) for name, task in tasks.items()]
-    for thread in threads:
-        thread.start()
-    try:
-        while not (ended.is_set() or (asked and may_end())):
-            # With a limit: Linux may give the signal to another thread, and Python handles it in this one.
-            time.sleep(_LOOK_S)
-    finally:
-        # Another Ctrl-C would end Python's last moments as if it had failed: launch sends one after the terminal's.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        node.request_stop()
-        served.set_result(None)
-        for thread in threads:
-            thread.join()
-        executor.shutdown()
-        if node.inbox.intake is not None:
-            node.inbox.intake.flush()
-        node.write_out()
+    with ThreadPoolExecutor(2) as pool:
+        tasks = [pool.submit(node.loop), pool.submit(serve)]
+        try:
+            while not (any(task.done() for task in tasks) or (asked and may_end())):
+                # With a limit: Linux may give the signal to another thread, and Python handles it in this one.
+                time.sleep(_LOOK_S)
+        finally:
+            # Another Ctrl-C would end Python's last moments as if it had failed: launch sends one after the terminal's.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            node.request_stop()
+            served.set_result(None)
+            wait(tasks)
+            executor.shutdown()
+            if node.inbox.intake is not None:
+                node.inbox.intake.flush()
+            node.write_out()
+    failures = [error for error in (task.exception() for task in tasks) if error is not None]
     if failures:
         node.get_logger().fatal(f"the node ended with {type(failures[0]).__name__}: {failures[0]}")
         return 1
