@@ -11,9 +11,13 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.ros.interfaces import (
     ADAPTER,
+    CONTROLLER,
     DOCTOR,
+    DRIVER,
     MANAGED,
+    OBSERVER,
     OPERATOR,
+    PLANNER,
     RECORDER,
     REPLAY,
     STOPPABLE,
@@ -70,6 +74,51 @@ HEARD_BY_VIEWER = (
 )
 
 _REFERENCES = [topics.REFERENCE_POSE, topics.REFERENCE_POSTURE]
+
+
+def _topics(*published: Topic) -> frozenset[str]:
+    return frozenset(topic.name for topic in (*published, topics.DIAGNOSTICS, topics.SETTINGS))
+
+
+PUBLISHES = {
+    DRIVER: _topics(
+        topics.JOINT_STATES,
+        topics.SIM_CONTACTS,
+        topics.OBSTACLES,
+        topics.CLOCK,
+        topics.SAFETY_STATE,
+    ),
+    CONTROLLER: _topics(
+        topics.COMMANDS,
+        topics.ADAPTER_COMMANDS,
+        topics.SHADOW_COMMANDS,
+        topics.SAFETY_STATE,
+        topics.CONTROLLER_INTAKE,
+        topics.LOCKSTEP_HORIZON,
+    ),
+    OBSERVER: _topics(
+        topics.EXTERNAL_TORQUE,
+        topics.EXTERNAL_WRENCH,
+        topics.SAFETY_STATE,
+        topics.OBSERVER_INTAKE,
+        topics.LOCKSTEP_HORIZON,
+    ),
+    PLANNER: _topics(
+        *_REFERENCES,
+        topics.PLAN_PATH,
+        topics.PLAN_MARKERS,
+        topics.PLAN_STATISTICS,
+        topics.PLAN_REQUEST,
+        topics.GOAL_STATE,
+        topics.ROBOT_DESCRIPTION,
+        topics.LOCKSTEP_HORIZON,
+    ),
+    ADAPTER: _topics(topics.COMMANDS, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON),
+    RECORDER: _topics(topics.LOCKSTEP_HORIZON),
+    VIEWER: _topics(topics.GOAL_POSE),
+}
+"""Topics that each of the lifecycle nodes may publish, by its name."""
+
 _OF_KUKA = frozenset({"lbr/state", "lbr/robot_description"})
 """Heard from KUKA's driver, with the default of `lbr.driver`."""
 _PACE = [topics.JOINT_STATES, topics.LOCKSTEP_HORIZON]
@@ -93,7 +142,7 @@ def _managed(
     name: str, subscribes: Iterable[Topic], serves: Iterable[str] = (), calls: Iterable[str] = ()
 ) -> Interface:
     """A lifecycle node; all others have no parameters that could be asked for."""
-    node = _node(MANAGED[name], [*subscribes, topics.CLOCK], [*_MANAGED_SERVICES, *serves], calls)
+    node = _node(PUBLISHES[name], [*subscribes, topics.CLOCK], [*_MANAGED_SERVICES, *serves], calls)
     return replace(node, publishes=node.publishes | {"~/transition_event"})
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.doctor.findings import Finding, graded
-from contact_reach_ros.timing import NANOSECONDS
+from contact_reach_ros.timing import NANOSECONDS, Pace
 
 PRIORITY = 80
 """SCHED_FIFO priority that is asked for: the highest of the nodes, the driver's."""
@@ -67,13 +67,11 @@ def _become_realtime() -> str:
 
 def _sleep(count: int) -> tuple[Array, int]:
     """Wake up at `count` ticks; returns how late, (count,), us, and the number of other ticks that passed meanwhile."""
-    late_ns, missed, due_ns = [], 0, time.monotonic_ns() + _TICK_NS
+    late_ns, pace = [], Pace(_TICK_NS)
+    pace.start(time.monotonic_ns())
     for _ in range(count):
-        left_ns = due_ns - time.monotonic_ns()
-        if left_ns > 0:
-            time.sleep(left_ns / NANOSECONDS)
-        late_ns.append(time.monotonic_ns() - due_ns)
-        passed_by = max(late_ns[-1], 0) // _TICK_NS
-        missed += passed_by
-        due_ns += (1 + passed_by) * _TICK_NS
-    return np.array(late_ns) / 1000.0, missed
+        time.sleep(max(pace.next_ns - time.monotonic_ns(), 0) / NANOSECONDS)
+        now_ns = time.monotonic_ns()
+        late_ns.append(now_ns - pace.next_ns)
+        pace.due(now_ns)
+    return np.array(late_ns) / 1000.0, pace.missed

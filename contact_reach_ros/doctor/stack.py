@@ -34,7 +34,7 @@ from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
 from contact_reach_ros.ros.graph import full_name, node_of
-from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, DOCTOR, MANAGED, VIEWER
+from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, DOCTOR, MANAGED, OWNERS, VIEWER
 from contact_reach_ros.ros.process import bare_node
 
 NEEDED_NODES = ("controller", "observer", "planner")
@@ -278,16 +278,15 @@ def topic(graph: Graph, wanted: Topic) -> Finding:
         fix = f"let {_names(strange)} use {wanted.type_name}, or another topic"
     elif wanted in ALONE and len(publishers) > 1:
         found += f": {len(publishers)} publishers, expected one"
-        owners = [name for name, published in MANAGED.items() if wanted.name in published]
-        rivals = [endpoint.node for endpoint in publishers if endpoint.node.removeprefix("/") not in owners]
+        owners = {f"/{name}" for name in OWNERS[wanted.name]}
+        rivals = [endpoint.node for endpoint in publishers if endpoint.node not in owners]
         fix = f"end {', '.join(rivals) or 'all but one'}, or remap its topic: the arm would receive all in turn"
     elif deaf:
         found += f"; {deaf}"
         fix = "let the subscription ask for less (best effort, volatile), or the publisher offer more "
         fix += "(reliable, transient local)"
     elif wanted in _NEEDED_TOPICS and not publishers and not (wanted is topics.COMMANDS and graph.adapter == LBR):
-        owners = [name for name, published in MANAGED.items() if wanted.name in published]
-        fix = f"start {' or '.join(owners)}, or remap your topic to this name"
+        fix = f"start {' or '.join(OWNERS[wanted.name])}, or remap your topic to this name"
     return Finding(Verdict.FAIL if fix else Verdict.PASS, found, fix)
 
 

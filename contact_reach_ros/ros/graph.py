@@ -21,7 +21,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
-from contact_reach_ros.ros.interfaces import ALONE, MANAGED, RECORDER
+from contact_reach_ros.ros.interfaces import ALONE, OWNERS, RECORDER
 
 _UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """Name in the graph of a node that was discovered later than its endpoint."""
@@ -86,13 +86,12 @@ def rivalry(node: Node, exclusive: Iterable[Topic]) -> str:
     """Name these topics that have more publishers than they may, and the publishers; empty if none has.
 
     Topics are meant by the names that they have for `node`, after its namespace and remappings. One of `ALONE`, or one
-    that `MANAGED` does not list, may have one publisher, whatever its name; another one the nodes that `MANAGED` lists
-    for it, each once.
+    that `OWNERS` does not list, may have one publisher, whatever its name; another one its owners, each once.
     """
     reasons = []
     for topic in exclusive:
         resolved = node.resolve_topic_name(topic.name)
-        owners = [name for name, published in MANAGED.items() if topic.name in published]
+        owners = OWNERS.get(topic.name, ())
         is_alone = topic in ALONE or not owners
         most = 1 if is_alone else len(owners)
         if is_alone and node.count_publishers(resolved) <= most:
@@ -158,7 +157,7 @@ def running(node: Node, planned: Collection[str], own: Collection[str] = ()) -> 
     found = {full_name(space, name) for name in (*planned, *_SUPERVISORS) if name in others}
     ours = {full_name(space, name) for name in planned}
     for topic in ALONE:
-        if any(topic.name in MANAGED[name] for name in planned):
+        if not {*planned}.isdisjoint(OWNERS[topic.name]):
             strangers = _names(node.get_publishers_info_by_topic(topic.name)) - ours
             found |= {f"{name} (on {topic.name})" for name in strangers}
     return sorted(found)

@@ -1,13 +1,15 @@
-"""Names of the nodes, and the topics that each may publish.
+"""Names of the nodes, and which of them publish what moves the arm.
 
-A second publisher of a topic stops the arm, and `contact-reach doctor` names it.
+Another publisher of these topics stops the arm, and `contact-reach doctor` names it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from contact_reach_ros.control.supervisor import RESET_ORDER
 from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.topics import Topic
+from contact_reach_ros.settings import NODES
 
 DRIVER, CONTROLLER, OBSERVER, PLANNER = "driver", "controller", "observer", "planner"
 ADAPTER, RECORDER, VIEWER, DEMO, REPLAY = "adapter", "recorder", "viewer", "demo", "replay"
@@ -18,50 +20,19 @@ OPERATOR = "operator"
 STOPPABLE = RESET_ORDER[::-1]
 """Nodes with the services ~/stop and ~/reset."""
 
-_REFERENCES = (topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
-ALONE = (topics.JOINT_STATES, topics.COMMANDS, *_REFERENCES)
+ALONE = (topics.JOINT_STATES, topics.COMMANDS, topics.REFERENCE_POSE, topics.REFERENCE_POSTURE)
 """Topics that must have a single publisher: with two, the arm receives the commands of both in turn."""
 
+MANAGED = tuple(name for name in NODES if name != "bringup")
+"""The lifecycle nodes."""
 
-def _topics(*published: Topic) -> frozenset[str]:
-    return frozenset(topic.name for topic in (*published, topics.DIAGNOSTICS, topics.SETTINGS))
-
-
-MANAGED = {
-    DRIVER: _topics(
-        topics.JOINT_STATES,
-        topics.SIM_CONTACTS,
-        topics.OBSTACLES,
-        topics.CLOCK,
-        topics.SAFETY_STATE,
-    ),
-    CONTROLLER: _topics(
-        topics.COMMANDS,
-        topics.ADAPTER_COMMANDS,
-        topics.SHADOW_COMMANDS,
-        topics.SAFETY_STATE,
-        topics.CONTROLLER_INTAKE,
-        topics.LOCKSTEP_HORIZON,
-    ),
-    OBSERVER: _topics(
-        topics.EXTERNAL_TORQUE,
-        topics.EXTERNAL_WRENCH,
-        topics.SAFETY_STATE,
-        topics.OBSERVER_INTAKE,
-        topics.LOCKSTEP_HORIZON,
-    ),
-    PLANNER: _topics(
-        *_REFERENCES,
-        topics.PLAN_PATH,
-        topics.PLAN_MARKERS,
-        topics.PLAN_STATISTICS,
-        topics.PLAN_REQUEST,
-        topics.GOAL_STATE,
-        topics.ROBOT_DESCRIPTION,
-        topics.LOCKSTEP_HORIZON,
-    ),
-    ADAPTER: _topics(topics.COMMANDS, topics.SAFETY_STATE, topics.LOCKSTEP_HORIZON),
-    RECORDER: _topics(topics.LOCKSTEP_HORIZON),
-    VIEWER: _topics(topics.GOAL_POSE),
+OWNERS: Mapping[str, Sequence[str]] = {
+    topics.JOINT_STATES.name: (DRIVER,),
+    topics.COMMANDS.name: (CONTROLLER, ADAPTER),
+    topics.ADAPTER_COMMANDS.name: (CONTROLLER,),
+    topics.REFERENCE_POSE.name: (PLANNER,),
+    topics.REFERENCE_POSTURE.name: (PLANNER,),
+    topics.SAFETY_STATE.name: (DRIVER, CONTROLLER, OBSERVER, ADAPTER),
+    topics.EXTERNAL_TORQUE.name: (OBSERVER,),
 }
-"""The lifecycle nodes, each with the topics that it may publish."""
+"""The nodes that publish the topics without which the arm does not move, or in place of which nobody else may."""
