@@ -60,8 +60,11 @@ def read_poses(message: Any) -> tuple[Array, Array]:
         raise InputError("reference/pose: each point needs exactly one transform, the flange's x_d")
     transforms = [point.transforms[0] for point in message.points]
     positions = [vector(transform.translation) for transform in transforms]
-    rotations = _rotations([transform.rotation for transform in transforms])
-    return np.array(positions, dtype=float).reshape(-1, 3), rotations
+    turns = [(turn.w, turn.x, turn.y, turn.z) for turn in (transform.rotation for transform in transforms)]
+    if not all(1e-6 < math.hypot(*turn) < math.inf for turn in turns):
+        raise InputError("reference/pose: rotations must be finite quaternions of non-zero length")
+    rotations = [rotation_from_quaternion(turn) for turn in turns]
+    return np.reshape(np.array(positions, float), (-1, 3)), np.reshape(np.array(rotations, float), (-1, 3, 3))
 
 
 def read_postures(message: Any, joint_names: Sequence[str]) -> Array:
@@ -120,13 +123,3 @@ class PlanReader:
                 f"{topic}: the message before this one came without its other half; expected {_POSE} and {_POSTURE} of "
                 "the same stamp for each plan"
             )
-
-
-def _rotations(quaternions: list[Any]) -> Array:
-    """Rotation matrices (H, 3, 3)."""
-    rotations = np.empty((len(quaternions), 3, 3))
-    for index, turn in enumerate(quaternions):
-        if not 1e-6 < math.hypot(turn.w, turn.x, turn.y, turn.z) < math.inf:
-            raise InputError("reference/pose: rotations must be finite quaternions of non-zero length")
-        rotations[index] = rotation_from_quaternion((turn.w, turn.x, turn.y, turn.z))
-    return rotations

@@ -43,17 +43,15 @@ _SUDDEN, _EXCESS = "sudden torque Nm", "contact above permitted force"
 
 def findings(report: SafetyReport) -> dict[str, str]:
     """The values of a report; link and force of a contact are known from its first heartbeat on."""
-    values = {"level": report.level.value, "external torque max Nm": f"{np.abs(report.residual).max():.3f}"}
-    verdict = report.verdict
-    if verdict.reason:
-        values[STOP_CODE] = code_of(verdict.reason)
-    if verdict.distrust:
-        values[DISTRUST] = verdict.distrust
-    if verdict.doubt:
-        values[DOUBT] = verdict.doubt
-    values["residual age ms"] = f"{1000.0 * report.age:.1f}"
-    values[TORQUE] = _KNOWN if verdict.torque_known else _UNKNOWN
-    contact = report.contact
+    verdict, contact = report.verdict, report.contact
+    said = {STOP_CODE: code_of(verdict.reason), DISTRUST: verdict.distrust, DOUBT: verdict.doubt}
+    values = {
+        "level": report.level.value,
+        "external torque max Nm": f"{np.abs(report.residual).max():.3f}",
+        **{key: text for key, text in said.items() if text},
+        "residual age ms": f"{1000.0 * report.age:.1f}",
+        TORQUE: _KNOWN if verdict.torque_known else _UNKNOWN,
+    }
     if contact is not None:
         values[_LINK] = contact.link
         values["contact force N"] = f"{contact.strength:.1f}"

@@ -111,18 +111,15 @@ def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = ())
         Command line, program name first; ROS gets only the node's name when empty.
     """
     initialise(arguments or [name], discovery)
-    try:
+    with contextlib.ExitStack() as end:
+        end.callback(rclpy.try_shutdown)
         try:
             # Nobody changes its parameters, and requests that are malformed cannot end it.
             node = Node(name, start_parameter_services=False)
         except RuntimeError as error:
             raise ContactReachError(f"ROS cannot start node {name}: {error}") from error
-        try:
-            yield node
-        finally:
-            node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
+        end.callback(node.destroy_node)
+        yield node
 
 
 def described(robot: str, node_name: str, discovery: str = "host", arguments: Sequence[str] = ()) -> str:
