@@ -1,6 +1,6 @@
 """Supervision of the controller: the one state machine, and everything that stops the arm.
 
-`TRANSITIONS` lists the states and what leads from one to another; docs/safety.md draws them.
+`Mode` lists the states, and `Event` what leads from one to another; docs/safety.md draws them.
 """
 
 from __future__ import annotations
@@ -33,41 +33,18 @@ class Mode(Enum):
 
 
 class Event(Enum):
-    """Events that can change the state."""
+    """What changes the state, in words: out of which states, and into which one. Others stay as they are."""
 
-    START = "first valid state"
-    PLAN = "plan takes effect"
-    PLAN_ENDED = "plan runs out"
-    CONTACT = "contact without a plan, or too strong"
-    FREED = "contact has ended"
-    STOP = "stop"
-    NO_REST = "stop brings no rest"
-    RESTED = "stop has brought rest"
-    RESET = "reset"
+    START = "first valid state", (Mode.WAITING, Mode.HOLDING, Mode.TRACKING, Mode.YIELDING), Mode.HOLDING
+    PLAN = "plan takes effect", (Mode.HOLDING,), Mode.TRACKING
+    PLAN_ENDED = "plan runs out", (Mode.TRACKING,), Mode.HOLDING
+    CONTACT = "contact without a plan, or too strong", (Mode.HOLDING, Mode.TRACKING), Mode.YIELDING
+    FREED = "contact has ended", (Mode.YIELDING,), Mode.HOLDING
+    STOP = "stop", (Mode.WAITING, Mode.HOLDING, Mode.TRACKING, Mode.YIELDING), Mode.STOPPED
+    NO_REST = "stop brings no rest", (Mode.STOPPED,), Mode.SILENT
+    RESTED = "stop has brought rest", (Mode.STOPPED,), Mode.SILENT
+    RESET = "reset", (Mode.HOLDING, Mode.TRACKING, Mode.STOPPED, Mode.SILENT), Mode.HOLDING
 
-
-TRANSITIONS = {
-    (Mode.WAITING, Event.START): Mode.HOLDING,
-    (Mode.WAITING, Event.STOP): Mode.STOPPED,
-    (Mode.HOLDING, Event.START): Mode.HOLDING,
-    (Mode.HOLDING, Event.PLAN): Mode.TRACKING,
-    (Mode.HOLDING, Event.STOP): Mode.STOPPED,
-    (Mode.HOLDING, Event.RESET): Mode.HOLDING,
-    (Mode.TRACKING, Event.START): Mode.HOLDING,
-    (Mode.TRACKING, Event.PLAN_ENDED): Mode.HOLDING,
-    (Mode.TRACKING, Event.STOP): Mode.STOPPED,
-    (Mode.TRACKING, Event.RESET): Mode.HOLDING,
-    (Mode.HOLDING, Event.CONTACT): Mode.YIELDING,
-    (Mode.TRACKING, Event.CONTACT): Mode.YIELDING,
-    (Mode.YIELDING, Event.FREED): Mode.HOLDING,
-    (Mode.YIELDING, Event.START): Mode.HOLDING,
-    (Mode.YIELDING, Event.STOP): Mode.STOPPED,
-    (Mode.STOPPED, Event.NO_REST): Mode.SILENT,
-    (Mode.STOPPED, Event.RESTED): Mode.SILENT,
-    (Mode.STOPPED, Event.RESET): Mode.HOLDING,
-    (Mode.SILENT, Event.RESET): Mode.HOLDING,
-}
-"""The state that an event leads to; an event that is not listed for a state changes nothing."""
 
 RESET_ORDER = ("driver", "adapter", "observer", "controller")
 """Who is reset one after the other, by `Stack.reset` and `contact-reach reset`, as far as they are there: who can move
@@ -136,15 +113,17 @@ class Supervisor:
         """When the observer was heard last."""
 
     def happens(self, event: Event) -> bool:
-        """Take an event other than a stop; returns whether it changed the state."""
-        before = self.mode
-        self.mode = TRANSITIONS.get((before, event), before)
+        """Take an event; returns whether it changed the state."""
+        _, states, after = event.value
+        changes = self.mode in states and self.mode is not after
+        if changes:
+            self.mode = after
         if event is Event.RESET:
             self._reason = self._sequel = ""
             self._fast_joint.lasts(False)
             self._fast_point.lasts(False)
             self.longest_silence = 0.0
-        return self.mode is not before
+        return changes
 
     @property
     def torque_known(self) -> bool:
@@ -168,8 +147,7 @@ class Supervisor:
 
     def stop(self, reason: str) -> None:
         """Latch the compliant stop; the first reason is kept."""
-        if not self.stopped:
-            self.mode = TRANSITIONS[self.mode, Event.STOP]
+        if self.happens(Event.STOP):
             self._reason = reason
             self._since_ns = []
 
