@@ -130,4 +130,4 @@ def read_contact(message: Any, arm: Arm) -> Contact | None:
             f"safety_state: {_LINK} = {values[_LINK]} at {position} with {force}: expected finite numbers and one of "
             f"{', '.join(arm.contact_links)}"
         )
-    return Contact(values[_LINK], position, force, float("nan"), torque, _EXCESS in values)
+    return Contact(values[_LINK], position, force, torque, _EXCESS in values)

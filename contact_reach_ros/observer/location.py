@@ -35,8 +35,6 @@ class Contact:
         Point on the axis of the link's capsule that the force acts through, (3,), m, base frame.
     force
         Force on the arm, (3,), N, base axes: the smallest that explains the torques, so an underestimate if anything.
-    misfit
-        Unexplained rest: root of the sum of squares, in units of the contact thresholds.
     torque
         Sudden external torque (n,), N m, that the force is fitted to.
     is_excessive
@@ -46,7 +44,6 @@ class Contact:
     link: str
     position: Array
     force: Array
-    misfit: float
     torque: Array
     is_excessive: bool = False
 
@@ -102,8 +99,7 @@ class ContactLocator:
         forces = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
         # At the minimum |target - rows f|² + fᵀ prior f is |target|² - fᵀ right.
         best = int(np.argmax((forces * right).sum(axis=1)))
-        misfit = float(np.linalg.norm(target - rows[best] @ forces[best]))
-        return Contact(self._link_names[self._links[best]], points[best], forces[best], misfit, torque)
+        return Contact(self._link_names[self._links[best]], points[best], forces[best], torque)
 
     def frames(self, q: Array) -> tuple[Array, Array]:
         """Rotations (n, 3, 3) and origins (n, 3), m, of the joints' frames."""

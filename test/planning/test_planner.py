@@ -46,7 +46,7 @@ def state(tick: int, q: np.ndarray = HOME) -> JointState:
 def touch(force: float = 10.0, is_excessive: bool = False) -> Contact:
     pushed = force * ROTATION[:, 0]
     torque = RobotModel(ARM).jacobian_at(HOME)[:3].T @ pushed
-    return Contact(ARM.link_names[-1], TIP, pushed, 0.0, torque, is_excessive)
+    return Contact(ARM.link_names[-1], TIP, pushed, torque, is_excessive)
 
 
 def begin(planner: Planner, goal: Goal = GOAL) -> Planner:

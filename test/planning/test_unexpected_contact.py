@@ -111,7 +111,7 @@ def test_a_known_ball_explains_from_one_side_only_and_no_farther_than_it_may_be_
 
 def test_weak_contact_is_no_reason_and_one_of_an_old_bag_without_torques_is_never_explained():
     assert EXPLANATION.unexpected(located(push(HAND, 4.5 * SIDEWAYS)), HOME, Spheres.none()) is None
-    old = Contact(ARM.link_names[-1], middle(HAND, HOME), 8.0 * SIDEWAYS, 0.0, np.full(ARM.n, np.nan))
+    old = Contact(ARM.link_names[-1], middle(HAND, HOME), 8.0 * SIDEWAYS, np.full(ARM.n, np.nan))
     assert EXPLANATION.unexpected(old, HOME, ball(HAND, SIDEWAYS)) is old
 
 

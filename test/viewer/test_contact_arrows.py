@@ -18,7 +18,7 @@ def frame(**more) -> Frame:
 
 
 def test_estimate_is_drawn_where_the_observer_says():
-    contact = Contact("lbr_link_5", np.array([0.1, 0.2, 0.9]), np.array([0.0, -4.0, 0.0]), 4.0, np.zeros(ARM.n))
+    contact = Contact("lbr_link_5", np.array([0.1, 0.2, 0.9]), np.array([0.0, -4.0, 0.0]), np.zeros(ARM.n))
     safety = {
         "observer": SafetyStatus(WARN, "contact", contact),
         "controller": SafetyStatus(OK, "tracking"),
