@@ -151,6 +151,13 @@ def times(matrix: Array, vector: Array) -> Array:
 
 
 @_compiled()
+def fill(target: Array, values: Array) -> None:
+    """Overwrite a vector with another one; Numba takes seconds to compile an assignment of arrays."""
+    for i in range(len(values)):
+        target[i] = values[i]
+
+
+@_compiled()
 def rotation_vector(rotation: Array) -> Array:
     """Axis times angle in [0, π] of a rotation matrix, (3,), rad."""
     sines, symmetric = np.empty(3), np.empty(3)
@@ -262,7 +269,7 @@ def solve_bounded(matrix: Array, vectors: Array, floor: float) -> Array:
     if factorise(matrix, floor)[1]:
         factor = factorise(matrix, 0.0)[0]
         for row in range(len(vectors)):
-            solutions[row] = solve_upper(factor, solve_lower(factor, vectors[row]))
+            fill(solutions[row], solve_upper(factor, solve_lower(factor, vectors[row])))
         return solutions
     values, axes = np.linalg.eigh(matrix)
     for i in range(len(values)):
@@ -299,7 +306,9 @@ def joint_frames(placements: Array, q: Array) -> tuple[Array, Array]:
     """Rotations (n, 3, 3) and origins (n, 3), m, of the joints' frames, from the placements of `constants.Body`."""
     n = len(q)
     rotations, origins = np.empty((n, 3, 3)), np.empty((n, 3))
-    rotation, placed, origin = np.eye(3), np.empty((3, 3)), np.zeros(3)
+    rotation, placed, origin = np.zeros((3, 3)), np.empty((3, 3)), np.zeros(3)
+    for row in range(3):
+        rotation[row, row] = 1.0
     for i in range(n):
         cosine, sine = np.cos(q[i]), np.sin(q[i])
         for row in range(3):
@@ -315,7 +324,8 @@ def joint_frames(placements: Array, q: Array) -> tuple[Array, Array]:
             rotation[row, 0] = cosine * placed[row, 0] + sine * placed[row, 1]
             rotation[row, 1] = cosine * placed[row, 1] - sine * placed[row, 0]
             rotation[row, 2] = placed[row, 2]
-        rotations[i], origins[i] = rotation, origin
+            fill(rotations[i, row], rotation[row])
+        fill(origins[i], origin)
     return rotations, origins
 
 
@@ -414,7 +424,9 @@ def body_shares(
     """
     speed_share, share, most = 0.0, 1.0, constants[Constant.TIP_FORCE, 0]
     delay = constants[Constant.TORQUE_DELAY, 0] / FADE_SHARE
-    ending = 0.5 * np.max(np.abs(driving[0] + driving[1]) / constants[Constant.TORQUE_RATE])
+    ending = 0.0
+    for i in range(len(q)):
+        ending = max(ending, 0.5 * abs(driving[0, i] + driving[1, i]) / constants[Constant.TORQUE_RATE, i])
     leading = solve_upper(mass_factor, solve_lower(mass_factor, driving[0]))
     speeding = leading + solve_upper(mass_factor, solve_lower(mass_factor, driving[1]))
     slowing = solve_upper(mass_factor, solve_lower(mass_factor, braking))
@@ -479,7 +491,7 @@ def law_torques(
     # J M⁻¹ Jᵀ = Y Yᵀ with Y = J L⁻ᵀ, and J M⁻¹ τ₀ = Y L⁻¹ τ₀.
     rows = np.empty((m, n))
     for row in range(m):
-        rows[row] = solve_lower(mass_factor, jacobian[row])
+        fill(rows[row], solve_lower(mass_factor, jacobian[row]))
     mobility = np.empty((m, m))
     for row in range(m):
         for column in range(row + 1):
@@ -488,7 +500,7 @@ def law_torques(
                 product += rows[row, k] * rows[column, k]
             mobility[row, column] = mobility[column, row] = product
     driving = np.empty((2, n))
-    driving[1] = -constants[Constant.NULL_STIFFNESS] * posture_error
+    fill(driving[1], -constants[Constant.NULL_STIFFNESS] * posture_error)
     braking = -constants[Constant.NULL_DAMPING] * v
     pull, drag = times(rows, solve_lower(mass_factor, driving[1])), times(rows, solve_lower(mass_factor, braking))
     wanted = np.empty((4, m))
@@ -498,8 +510,8 @@ def law_torques(
         wanted[2, row] = -constants[Constant.TASK_DAMPING, 0] * twist[row] - drag[row]
         wanted[3, row] = -drift[row]
     wrenches = solve_bounded(mobility, wanted, constants[Constant.SINGULARITY_FLOOR, 0])
-    driving[0] = times(jacobian.T, wrenches[0])
-    driving[1] += times(jacobian.T, wrenches[1])
+    fill(driving[0], times(jacobian.T, wrenches[0]))
+    fill(driving[1], driving[1] + times(jacobian.T, wrenches[1]))
     braking += times(jacobian.T, wrenches[2])
     return driving, braking, times(jacobian.T, wrenches[3])
 
@@ -625,7 +637,7 @@ def tracking_torque(
     """
     n, task_rows = len(v), int(constants[Constant.TASK_ROWS, 0])
     deviation = pose_error(position, rotation, reference_position, reference_rotation, task_rows)
-    found[:6] = deviation
+    fill(found, deviation)
     rows = controlled(np.column_stack((jacobian, twist, drift, deviation)), rotation, task_rows)
     factor, regular = factorise(mass_matrix, 0.0)
     if not regular:
@@ -640,8 +652,8 @@ def tracking_torque(
     for i in range(n):
         driving[1, i] += pushing[i]
     found[6], push = body_shares(constants, placements, links, points, q, v, factor, driving, braking)
-    torque = push * (driving[0] + driving[1]) + braking + rest + stopping
-    share = constants[Constant.GRAVITY_SHARE]
+    torque, share = np.empty(n), constants[Constant.GRAVITY_SHARE]
     for i in range(n):
-        torque[i] = authority * (torque[i] + bias[i] - gravity[i]) + share[i] * gravity[i]
+        law = push * (driving[0, i] + driving[1, i]) + braking[i] + rest[i] + stopping[i] + bias[i]
+        torque[i] = authority * (law - gravity[i]) + share[i] * gravity[i]
     return limit_torque(constants, torque, previous, period)
