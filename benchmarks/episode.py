@@ -141,7 +141,7 @@ class EpisodeRobot(FaultyRobot):
 
     def _tick(self, clock_ns: int) -> list[InputError]:
         if self.is_silent("driver"):
-            self.drive.reset()
+            self.restart()
         refused = super()._tick(clock_ns)
         if self.after_tick is not None:
             self.after_tick()

@@ -26,7 +26,7 @@ from contact_reach_ros.planning.planner import ReplanningSettings
 from contact_reach_ros.planning.settings import PlanningSettings, UnexpectedContactSettings
 from contact_reach_ros.presets import preset
 from contact_reach_ros.scenes.generate import make_scene
-from contact_reach_ros.simulation.drive import WatchdogSettings
+from contact_reach_ros.simulation.settings import WatchdogSettings
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.scene_file import SceneFile
 from contact_reach_ros.world.spheres import sphere_capacity

@@ -15,8 +15,7 @@ from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.supervisor import STOP_TIME
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.simulation.drive import STOP_AFTER
-from contact_reach_ros.simulation.robot import SimulatedRobot
+from contact_reach_ros.simulation.robot import STOP_AFTER, SimulatedRobot
 from contact_reach_ros.stack import Stack
 from contact_reach_ros.world.collision import nearest
 from contact_reach_ros.world.rigid import Plane

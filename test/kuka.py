@@ -15,7 +15,6 @@ from contact_reach_ros.drives.fri import PLUGIN, FriStates
 from contact_reach_ros.drives.settings import LBR, AdapterSettings, LbrSettings
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.budget import ContactBudget
-from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import WatchdogSettings
 from contact_reach_ros.timing import NANOSECONDS
@@ -64,8 +63,7 @@ class KukaRobot(SimulatedRobot):
 
     def __init__(self, scene, period, generation=LATER, stiffness=0.0, fri=1, noise_seed=None, **config):
         """`stiffness` in Nm/rad; `config`: hardware parameters that differ from those that the driver ships."""
-        super().__init__(scene, WatchdogSettings(enabled=False, carries=True), noise_seed, period)
-        self.drive = Drive(self.plant, WatchdogSettings(enabled=False, carries=True), open_after=0.0)
+        super().__init__(scene, WatchdogSettings(enabled=False, carries=True), noise_seed, period, open_after=0.0)
         self.period, self.generation, self.stiffness, self.fri = period, generation, stiffness, fri
         self.config = CONFIGS[generation] | config
         self.ended = ""
@@ -94,7 +92,7 @@ class KukaRobot(SimulatedRobot):
     def end(self, why):
         """End the session: KUKA's controller closes the brakes."""
         self.ended = self.ended or why
-        self.drive.stop(self.ended)
+        self.stop(self.ended)
 
     def step(self, clock_ns):
         refused = super().step(clock_ns)
@@ -103,7 +101,7 @@ class KukaRobot(SimulatedRobot):
 
     def _tick(self, clock_ns):
         spring = self.stiffness * (self._commanded - self.plant.joint_positions)
-        self.drive.command(self._sent + spring, clock_ns)
+        super().command(self._sent + spring, clock_ns)
         return super()._tick(clock_ns)
 
     def read(self):
@@ -122,7 +120,7 @@ class KukaRobot(SimulatedRobot):
     def exchange(self):
         """One exchange of FRI: a state comes, and the command for it goes."""
         self._seen = state = super().read()[0]
-        carried = self.drive._model.gravity_at(state.q)
+        carried = self._model.gravity_at(state.q)
         # Before the first step the simulated sensors show nothing.
         torque = np.where(np.isnan(state.torque), carried, state.torque)
         self._measured_torque = self._filtered(self._measured_torque, torque)
@@ -144,9 +142,9 @@ class KukaRobot(SimulatedRobot):
         }
         if self.fri == 1:
             self._message["commanded_joint_position"] = self._commanded
-        self._command()
+        self._follow()
 
-    def _command(self):
+    def _follow(self):
         unset = np.isnan(self._position).any() or np.isnan(self._torque).any()
         if self.session != 4:
             self._commanded, self._sent = self._reported, np.zeros_like(self._sent)

@@ -117,7 +117,7 @@ class Rig(Stack):
     @property
     def situation(self) -> tuple:
         """The state that counts: two rigs in the same one behave alike."""
-        controller, observer, guard, drive = self.controller, self.observer, self.guard, self.robot.drive
+        controller, observer, guard, drive = self.controller, self.observer, self.guard, self.robot
         watcher = controller._watcher
         return (
             controller.mode,
@@ -228,7 +228,7 @@ UNKNOWN = np.full(ARM.n, np.nan)
 EVENTS: dict[str, Callable[[Rig], None]] = {
     "controller/stop": once(lambda rig: rig.controller.stop("requested")),
     "observer/stop": once(lambda rig: rig.observer.stop("requested")),
-    "driver/stop": once(lambda rig: rig.robot.drive.stop("requested")),
+    "driver/stop": once(lambda rig: rig.robot.stop("requested")),
     "adapter/stop": once(with_adapter(lambda rig: rig.guard.stop("requested"))),
     "controller/reset": once(lambda rig: rig._reset(CONTROLLER)),
     "observer/reset": once(lambda rig: rig._reset(OBSERVER)),

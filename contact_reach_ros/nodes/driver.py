@@ -110,13 +110,13 @@ class DriverNode(ManagedNode):
         values: dict[str, Any] = {
             "ticks": self.robot.plant.steps,
             "missed ticks": self.pace.missed,
-            "commands rejected": self.robot.drive.rejected,
+            "commands rejected": self.robot.rejected,
             "actuation": self.robot.plant.actuation.value,
-            "stop reason": self.robot.drive.stop_reason,
+            "stop reason": self.robot.stop_reason,
         }
         for name, durations in (("round trip", self._round_trip), ("wake-up late", self._wake_up_late)):
             values |= {f"{name} {key} us": value for key, value in durations.summary().items()}
-        return self.robot.drive.stop_reason or self.rivals, values
+        return self.robot.stop_reason or self.rivals, values
 
     def _realtime_tick(self) -> None:
         now_ns, due_ns = time.monotonic_ns(), self.pace.next_ns
@@ -220,10 +220,10 @@ class DriverNode(ManagedNode):
     def on_rivals(self) -> None:
         """Close the brakes: with two publishers of commands no robot would move."""
         if self.robot.is_open:
-            self.robot.drive.stop(StopReason(StopCode.RIVAL, self.rivals))
+            self.robot.stop(StopReason(StopCode.RIVAL, self.rivals))
 
     def _answer_stop(self) -> str:
-        self.robot.drive.stop(requested("stop service called"))
+        self.robot.stop(requested("stop service called"))
         return "brakes closed"
 
     def _answer_reset(self) -> str:

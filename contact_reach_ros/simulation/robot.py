@@ -1,29 +1,50 @@
-"""The simulated robot as its driver sees it: commands in, joint states out."""
+"""The simulated robot as its driver sees it: commands in, joint states out, and a watchdog between them and the arm."""
 
 from __future__ import annotations
 
-from contact_reach_ros.arm import Array, JointState
-from contact_reach_ros.errors import InputError
-from contact_reach_ros.simulation.drive import Drive
-from contact_reach_ros.simulation.plant import Plant
+import math
+
+from contact_reach_ros.arm import Array, JointState, checked_torque
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import InputError, StopCode, StopReason
+from contact_reach_ros.simulation.plant import Actuation, Plant
 from contact_reach_ros.simulation.settings import TICK, TICK_NS, WatchdogSettings, check_period
+from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres, obstacle_spheres
 
+HOLD_AFTER = 0.02
+"""Time without a command after which the damped hold begins, s."""
+STOP_AFTER = 0.1
+"""Time without a command after which the brakes close and stay closed, s."""
+OPEN_AFTER = 0.5
+"""Time of steady commands after which the brakes open, s: a controller that is starting up pauses now and then."""
 _SPHERES_EVERY = 20
 _MESHES_EVERY = 40
 """Steps between observations of meshes, whose messages are large."""
 
 
 class SimulatedRobot:
-    """Plant and drive of one scene.
+    """The arm of one scene behind its drive, which watches commands and speeds.
+
+    The brakes are closed until commands have arrived for `open_after` seconds without a gap of `HOLD_AFTER`, so that a
+    controller that is still starting up does not get the arm. From then on, `HOLD_AFTER` seconds without a command
+    trigger the damped hold, and `STOP_AFTER` seconds a stop that is latched until `reset`. A joint that is too fast by
+    the drive's own sensors triggers a stop too, even if the joint states that it sends are faulty.
+
+    With `enabled: false` it does not watch for silence, and holds the last torque for ever. With `carries: true` it
+    carries the arm itself, by its own model: commands are on top of that.
 
     Attributes
     ----------
     plant
         The physics.
-    drive
-        The robot's own watchdog.
+    stop_reason
+        Why the drive stopped the arm; empty while it does not.
+    rejected
+        Number of refused commands.
+    is_open
+        Whether the arm has been handed over: the brakes are open, or were before a stop.
     start_ns
         Stamp of the state before the first step, ns.
     """
@@ -35,6 +56,7 @@ class SimulatedRobot:
         noise_seed: int | None = None,
         period: float = TICK,
         plant: Plant | None = None,
+        open_after: float = OPEN_AFTER,
     ) -> None:
         """Build the robot at the scene's start.
 
@@ -50,6 +72,8 @@ class SimulatedRobot:
             Time between joint states, s; the physics still advances at 1 kHz.
         plant
             The physics of the scene; None for `Plant`.
+        open_after
+            Time of steady commands after which the brakes open, s.
 
         Raises
         ------
@@ -59,8 +83,19 @@ class SimulatedRobot:
         self._ticks = check_period(period)
         self.scene = scene
         self.plant = plant or Plant(scene, noise_seed=noise_seed)
-        self.drive = Drive(self.plant, watchdog or WatchdogSettings())
+        self.stop_reason = ""
+        self.rejected = 0
+        self.is_open = False
         self.start_ns = 0
+        settings, arm = watchdog or WatchdogSettings(), self.plant.arm
+        self._open_ns = int(open_after * NANOSECONDS)
+        self._hold_ns = int(HOLD_AFTER * NANOSECONDS)
+        self._stop_ns = int(STOP_AFTER * NANOSECONDS)
+        self._watches_silence = settings.enabled
+        self._model = RobotModel(arm) if settings.carries else None
+        self._speed_limits = [(settings.speed_share or math.inf) * limit for limit in arm.velocity_limits.tolist()]
+        self._command: Array | None = None
+        self._command_ns = self._steady_since_ns = 0
         has_mesh = any(obstacle.is_deformable for obstacle in scene.obstacles)
         self._obstacles_every = _MESHES_EVERY if has_mesh else _SPHERES_EVERY
 
@@ -69,35 +104,69 @@ class SimulatedRobot:
         """Time of the robot's clock, ns."""
         return self.start_ns + self.plant.steps * TICK_NS
 
-    @property
-    def stop_reason(self) -> str:
-        """Why the drive stopped the arm; empty if it did not."""
-        return self.drive.stop_reason
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the arm has been handed over: the brakes are open, or were before a stop."""
-        return self.drive.is_open
+    def stop(self, reason: str) -> None:
+        """Close the brakes until `reset`; the first reason is kept."""
+        self.stop_reason = self.stop_reason or reason
 
     def reset(self) -> None:
-        """Release a stop of the drive, if there is one: the brakes open after steady commands."""
-        if self.drive.stop_reason:
-            self.drive.reset()
+        """Release a stop, if there is one."""
+        if self.stop_reason:
+            self.restart()
+
+    def restart(self) -> None:
+        """Close the brakes, without a stop: they open again after steady commands."""
+        self.stop_reason, self._command, self.is_open = "", None, False
 
     def command(self, torque: Array, clock_ns: int) -> None:
-        """Take a command (n,), N m; `clock_ns` is the time of the watchdogs' clock.
+        """Take a command (n,), N m, that arrived at `clock_ns`, the time of the watchdogs' clock.
 
-        Raises `InputError` if the drive refuses it.
+        Raises `InputError` if it has the wrong size or is not finite; it is counted, and the last one stays in force.
         """
-        self.drive.command(torque, clock_ns)
+        try:
+            checked_torque(torque, self.plant.arm.n)
+        except InputError:
+            self.rejected += 1
+            raise
+        if self._command is None or clock_ns - self._command_ns > self._hold_ns:
+            self._steady_since_ns = clock_ns
+        self._command = torque
+        self._command_ns = clock_ns
 
     def step(self, clock_ns: int) -> list[InputError]:
         """Advance by one period; returns the errors of commands that were refused on arrival: here, none is late."""
         return [error for tick in range(self._ticks) for error in self._tick(clock_ns + tick * TICK_NS)]
 
     def _tick(self, clock_ns: int) -> list[InputError]:
-        self.drive.tick(clock_ns)
+        """Advance the plant by one tick under the present command."""
+        self.plant.set_actuation(self._actuation(clock_ns))
+        torque = self._command
+        if torque is not None and self._model is not None:
+            torque = torque + self._model.gravity_at(self.plant.joint_positions)
+        self.plant.step(torque)
         return []
+
+    def _actuation(self, clock_ns: int) -> Actuation:
+        """What moves the joints now; stops where the commands are silent, or a joint is too fast."""
+        silence = clock_ns - self._command_ns
+        if self._command is not None and silence <= self._hold_ns:
+            self.is_open = self.is_open or clock_ns - self._steady_since_ns >= self._open_ns
+        if self.is_open and not self.stop_reason:
+            self._watch_speed()
+        if self.stop_reason or not self.is_open:
+            return Actuation.BRAKED
+        if not self._watches_silence or silence <= self._hold_ns:
+            return Actuation.COMMANDED
+        if silence <= self._stop_ns:
+            return Actuation.DAMPED_HOLD
+        self.stop(StopReason(StopCode.NO_COMMAND, f"no command for {silence / NANOSECONDS * 1000:.0f} ms"))
+        return Actuation.BRAKED
+
+    def _watch_speed(self) -> None:
+        names, speeds = self.plant.arm.joint_names, self.plant.data.qvel.tolist()
+        for name, speed, limit in zip(names, speeds, self._speed_limits, strict=False):
+            if not -limit <= speed <= limit:
+                text = f"{name} moves with {abs(speed):.2f} rad/s, permitted {limit:.2f} rad/s"
+                self.stop(StopReason(StopCode.SPEED_LIMIT, text))
 
     def read(self) -> list[JointState]:
         """The present joint state. Each call draws new sensor noise."""

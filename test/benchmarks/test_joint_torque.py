@@ -14,8 +14,8 @@ from contact_reach_ros.planning.cost import make_objective
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.arithmetic import single
-from contact_reach_ros.simulation.drive import WatchdogSettings
 from contact_reach_ros.simulation.plant import Actuation
+from contact_reach_ros.simulation.settings import WatchdogSettings
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.scene import Scene
 

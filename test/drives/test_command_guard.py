@@ -13,7 +13,7 @@ from contact_reach_ros.control.references import Reference
 from contact_reach_ros.drives.command_guard import CommandGuard, Phase
 from contact_reach_ros.drives.settings import AdapterSettings
 from contact_reach_ros.errors import InputError, StopCode
-from contact_reach_ros.simulation.drive import Drive
+from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import WatchdogSettings
 
 GRAVITY = RobotModel(ARM).gravity_at(HOME)
@@ -168,7 +168,8 @@ def test_a_stop_is_reset_only_at_rest_and_in_sight(bench):
 def displacement_after_silence(is_guarded):
     """How far the joints move, rad, in half a second after a moving controller ended; their speed then, rad/s."""
     plant = ideal_plant()
-    drive = Drive(plant, WatchdogSettings(enabled=False, speed_share=0.0), open_after=0.0)
+    watchdog = WatchdogSettings(enabled=False, speed_share=0.0)
+    robot = SimulatedRobot(plant.scene, watchdog, plant=plant, open_after=0.0)
     controller, guard = Controller(ARM, UNWATCHED), CommandGuard(ARM, AdapterSettings())
     ended = None
     for tick in range(1, 900):
@@ -188,8 +189,8 @@ def displacement_after_silence(is_guarded):
             ended, speed = plant.data.qpos.copy(), np.abs(plant.data.qvel).max()
             assert speed > 0.2, "the arm does not move: the test shows nothing"
         if sent is not None:
-            drive.command(sent, now_ns)
-        drive.tick(now_ns)
+            robot.command(sent, now_ns)
+        robot.step(now_ns)
     return np.abs(plant.data.qpos - ended).max(), np.abs(plant.data.qvel).max()
 
 

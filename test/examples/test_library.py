@@ -89,7 +89,7 @@ def test_reset_releases_observer_controller_and_robot(stack):
     stack.reset()
     stack.step()
     assert stack.stop_reason == ""
-    stack.robot.drive.stop("too fast")
+    stack.robot.stop("too fast")
     assert stack.stop_reason == "too fast"
     stack.reset()
     assert not stack.stop_reason

@@ -166,7 +166,7 @@ def test_the_driver_takes_no_command_from_two_and_says_who_they_are():
     with beside(DriverNode) as it:
         driver, publishers = it.node, [it.publish(topics.COMMANDS) for _ in range(2)]
         # As after the hand-over.
-        drive = driver.robot.drive
+        drive = driver.robot
         drive.is_open = True
         it.until(lambda: drive.stop_reason, "the stop")
         assert drive.stop_reason.startswith("2 publishers on /effort_controller/commands (/intruder, /intruder)")

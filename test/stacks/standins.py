@@ -24,8 +24,8 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.nodes.driver import DriverNode
 from contact_reach_ros.ros.process import run
-from contact_reach_ros.simulation.drive import Drive
 from contact_reach_ros.simulation.plant import Actuation
+from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.timing import NANOSECONDS
 
 OF_KUKA = {}
@@ -41,7 +41,7 @@ class StandIn(DriverNode):
     def __init__(self):
         super().__init__()
         if self.BRAKES:
-            self.robot.drive = Drive(self.robot.plant, self.settings["watchdog"], open_after=0.0)
+            self.robot = SimulatedRobot(self._scene, self.settings["watchdog"], None, self.period, open_after=0.0)
 
     def activate(self):
         super().activate()
@@ -104,9 +104,9 @@ class EffortDriver(StandIn):
             return response
         self._is_active = not request.deactivate_controllers
         if self.BRAKES and not self._is_active:
-            self.robot.drive.stop("no controller is active")
+            self.robot.stop("no controller is active")
         elif self.BRAKES:
-            self.robot.drive.reset()
+            self.robot.restart()
         if not self.FORWARD:
             self._last = np.zeros(self.arm.n)
             self.send_zeros()
@@ -140,7 +140,7 @@ class FrankaDriver(EffortDriver):
     def publish_state(self, state):
         moves = self.robot.plant.actuation is Actuation.COMMANDED
         if moves and self._reflexes is not None and (np.abs(self.external_torque()) > self._reflexes).any():
-            self.robot.drive.stop("reflex")
+            self.robot.stop("reflex")
         super().publish_state(state)
         if state.stamp_ns - self._slow_ns >= self.SLOW_NS:
             self._slow_ns = state.stamp_ns
