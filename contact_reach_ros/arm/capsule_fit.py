@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import cdist
 
 from contact_reach_ros.arm.arm import Array
+from contact_reach_ros.arm.capsules import segment_distances
 from contact_reach_ros.arm.rotations import frame_about
 
 POOR = 2.5
@@ -137,9 +138,8 @@ def volume(start: Array, end: Array, radius: float) -> float:
 
 def _depths(start: Array, end: Array, radius: float, balls: Array) -> Array:
     """How deep each ball lies in a capsule, m; negative where it stands out."""
-    axis = end - start
-    share = np.clip((balls[:, :3] - start) @ axis / max(float(axis @ axis), 1e-12), 0.0, 1.0)
-    return radius - balls[:, 3] - np.linalg.norm(balls[:, :3] - start - share[:, None] * axis, axis=1)
+    points = balls[:, :3]
+    return radius - balls[:, 3] - segment_distances((points, points), (start, end))
 
 
 def _outer(balls: Array) -> Array:

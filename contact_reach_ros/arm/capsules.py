@@ -77,17 +77,11 @@ def segment_distances(first: tuple[Array, Array], second: tuple[Array, Array]) -
 
 
 @functools.cache
-def self_pairs(arm: Arm) -> tuple[tuple[int, int], ...]:
-    """Indices into `shapes` of the pairs that are kept apart: those of `touching_pairs` that are apart at home."""
-    return _at_home(arm, overlapping=False)
+def self_pairs(arm: Arm, overlapping: bool = False) -> tuple[tuple[int, int], ...]:
+    """Indices into `shapes` of the pairs that are kept apart: those of `touching_pairs` that are apart at home.
 
-
-def overlapping_pairs(arm: Arm) -> tuple[tuple[int, int], ...]:
-    """Indices into `shapes` of the pairs that nothing keeps apart, though they can touch: they overlap at home."""
-    return _at_home(arm, overlapping=True)
-
-
-def _at_home(arm: Arm, overlapping: bool) -> tuple[tuple[int, int], ...]:
+    If `overlapping`, those that nothing keeps apart instead, though they can touch.
+    """
     pairs = touching_pairs(arm)
     overlap = pair_distances(arm, np.array([arm.home]), pairs)[0] < 0.0
     return tuple((int(first), int(second)) for first, second in pairs[overlap == overlapping])

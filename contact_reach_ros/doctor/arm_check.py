@@ -10,7 +10,7 @@ from rich.table import Table
 
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.capsule_fit import POOR
-from contact_reach_ros.arm.capsules import overlapping_pairs, pair_distances, shape_name, shapes
+from contact_reach_ros.arm.capsules import pair_distances, self_pairs, shape_name, shapes
 from contact_reach_ros.arm.kinematics import TASK_ROWS
 from contact_reach_ros.arm.mount import in_words
 from contact_reach_ros.arm.table import table_text
@@ -54,7 +54,7 @@ def check_arm(name: str, table: Path | None = None) -> None:
             f"poor fit: the capsule on {link} has more than {POOR:g} times the volume of its shapes; give several "
             f"under capsules ({{{link}: [{{start: ..., end: ..., radius: ...}}, ...]}})",
         )
-    if overlapping := overlapping_pairs(arm):
+    if overlapping := self_pairs(arm, overlapping=True):
         depths = -1000.0 * pair_distances(arm, np.array([arm.home]), np.array(overlapping))[0]
         pairs = (
             f"{shape_name(arm, first)} and {shape_name(arm, second)} (by {depth:.0f} mm)"

@@ -14,7 +14,6 @@ from arm_simulation import ARM
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.capsule_fit import POOR
 from contact_reach_ros.arm.capsules import (
-    overlapping_pairs,
     self_pairs,
     shape_name,
     shape_radii,
@@ -295,7 +294,7 @@ def test_pairs_that_overlap_at_home_are_named(tmp_path, capsys):
     # The elbow is bent so far that the hand is in the platform.
     home = (0.0, 0.9, 2.4, 0.0, 0.0, 0.0)
     arm = read(tmp_path, MOUNTED["above the base"][0], base="base", home=home).arm
-    dropped = named(arm, overlapping_pairs(arm))
+    dropped = named(arm, self_pairs(arm, overlapping=True))
     assert dropped and not dropped & named(arm, self_pairs(arm))
     (tmp_path / "arm.yaml").write_text(json.dumps({"base": "base", "home": home}))
     check_arm(str(tmp_path / "arm.urdf"))
@@ -309,7 +308,7 @@ def test_pairs_that_overlap_at_home_are_named(tmp_path, capsys):
 def test_a_home_that_nobody_gave_drops_no_pair(tmp_path):
     for name, (links, options) in MOUNTED.items():
         options = {"tip": "left_tool" if "left" in links else "tool", **options}
-        assert not overlapping_pairs(read(tmp_path, links, **options).arm), name
+        assert not self_pairs(read(tmp_path, links, **options).arm, overlapping=True), name
 
 
 def test_given_capsules_are_all_used_and_the_rest_is_fitted(tmp_path):
