@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull, QhullError
 from contact_reach_ros.arm.arm import Array, Capsule
 from contact_reach_ros.arm.capsule_fit import POOR, Fit, cover, fit_capsule
 from contact_reach_ros.arm.kinematics import vector
-from contact_reach_ros.arm.robot_file import POINTS, find_mesh
+from contact_reach_ros.arm.robot_file import POINTS
 from contact_reach_ros.arm.table import ArmOptions
 from contact_reach_ros.arm.urdf_tree import placement, vector_in
 from contact_reach_ros.errors import SettingsError
@@ -42,42 +42,46 @@ class Part(NamedTuple):
     """Frames of the link and of those that are fixed to it, in the turned frame."""
 
 
-class LinkCapsules(NamedTuple):
-    """Capsules of base and links, and how they were found."""
-
-    base: tuple[Capsule, ...]
-    links: tuple[Capsule, ...]
-    fits: dict[str, Fit]
-    """Those that were fitted, by link; the worst of several."""
-    bare: list[str]
-    """Moving links without collision geometry, which have none, and the base if nothing that is fixed to it has any."""
-    without_size: list[str]
-    """Links with collision geometry that is a mere point, such as a box of size 0, which is left out."""
-
-
-def link_capsules(links: Mapping[str, Element], file: Path, options: ArmOptions, parts: Sequence[Part]) -> LinkCapsules:
-    """Find the capsules of the base and the moving links.
+def link_capsules(
+    links: Mapping[str, Element],
+    meshes: Mapping[str, Path],
+    file: Path,
+    options: ArmOptions,
+    parts: Sequence[Part],
+    assumed: list[str],
+) -> tuple[tuple[Capsule, ...], tuple[Capsule, ...], dict[str, Fit]]:
+    """Find the capsules of the base and the moving links; returns both, and those that were fitted, by link.
 
     Each fixed link has a capsule around its collision geometry, or several around a table or a platform, and each
     moving link one around its own and that of the links that are fixed to it; links with given capsules have these
     instead. The first link's belongs to the base if one around the joint's axis, which does not move, is no poor fit.
+    Of several fits for a link the worst is returned.
 
     Raises `SettingsError` if meshes are missing, all at once, or one cannot be read, or no moving link has collision
     geometry or given capsules.
 
     Parameters
     ----------
-    links, file, options
-        Links of the URDF by name, its path, and what it leaves open.
+    links, meshes, file, options
+        Links of the URDF by name, files of the meshes that were found by the names that it has for them, its path, and
+        what it leaves open.
     parts
         The base, then the moving links.
+    assumed
+        Gets a line for each moving link without collision geometry, and the base if nothing that is fixed to it has
+        any, and for links whose geometry is a mere point, such as a box of size 0.
     """
     base: list[Capsule] = []
     moving: list[Capsule] = []
     fits: dict[str, Fit] = {}
     bare, without_size = [], []
-    fitted_links = [link for part in parts for link in part.places if link not in options.capsules]
-    meshes = _meshes([links[link] for link in fitted_links], file, options)
+    lost: dict[str, str] = {}
+    for element in (links[name] for part in parts for name in part.places if name not in options.capsules):
+        for mesh in element.iterfind("collision/geometry/mesh"):
+            if (name := mesh.get("filename", "")) not in meshes:
+                lost.setdefault(name, f"link '{element.get('name')}': mesh '{name}'")
+    if lost:
+        raise SettingsError(f"{file}: {'; '.join(lost.values())}: not found; {_MEND}")
     for number, part in enumerate(parts):
         found = moving if number else base
         # By the link whose capsule is around them.
@@ -110,31 +114,14 @@ def link_capsules(links: Mapping[str, Element], file: Path, options: ArmOptions,
         raise SettingsError(
             f"{file}: no moving link has collision geometry; expected some in the URDF, or some under capsules"
         )
-    return LinkCapsules(tuple(base), tuple(moving), fits, bare, without_size)
+    assumed += [f"capsules: none on {link}, which has no collision geometry" for link in bare]
+    assumed += [f"capsules: collision geometry of {link} has no size" for link in without_size]
+    return tuple(base), tuple(moving), fits
 
 
 def _name(link: str, part: Part, number: int) -> str:
     """Name of a capsule on a link that is fixed to the base; empty for the base's own and those of moving links."""
     return "" if number or link == part.link else link
-
-
-def _meshes(links: Iterable[Element], file: Path, options: ArmOptions) -> dict[str, Path]:
-    """Files of the meshes in the collision geometry of links, by the names that the robot's file has for them."""
-    found: dict[str, Path] = {}
-    missing: dict[str, str] = {}
-    for link in links:
-        for mesh in link.findall("collision/geometry/mesh"):
-            name = mesh.get("filename", "")
-            if name in found or name in missing:
-                continue
-            path = find_mesh(name, file, options.packages)
-            if path is None:
-                missing[name] = f"link '{link.get('name')}': mesh '{name}'"
-            else:
-                found[name] = path
-    if missing:
-        raise SettingsError(f"{file}: {'; '.join(missing.values())}: not found; {_MEND}")
-    return found
 
 
 def _link_shapes(element: Element, where: str, meshes: Mapping[str, Path], place: pin.SE3) -> list[Array]:
@@ -143,7 +130,11 @@ def _link_shapes(element: Element, where: str, meshes: Mapping[str, Path], place
     for collision in element.findall("collision"):
         at = place * placement(collision.find("origin"))
         for shape in collision.findall("geometry/*"):
-            balls = _mesh_balls(shape, where, meshes) if shape.tag == "mesh" else _balls(shape, where)
+            balls = (
+                _mesh_balls(shape, where, meshes[shape.get("filename", "")])
+                if shape.tag == "mesh"
+                else _balls(shape, where)
+            )
             found.append(np.column_stack([balls[:, :3] @ at.rotation.T + at.translation, balls[:, 3]]))
     return found
 
@@ -173,9 +164,8 @@ def _balls(shape: Element, where: str) -> Array:
     return _points(np.concatenate([rim + end[:3] for end in ends]))
 
 
-def _mesh_balls(shape: Element, where: str, meshes: Mapping[str, Path]) -> Array:
+def _mesh_balls(shape: Element, where: str, path: Path) -> Array:
     """The outer vertices of a mesh as balls (N, 4) without a radius, m."""
-    path = meshes[shape.get("filename", "")]
     try:
         collada = ElementTree.parse(path).getroot() if path.suffix.lower() == ".dae" else None
         unit = None if collada is None else collada.find("{*}asset/{*}unit")

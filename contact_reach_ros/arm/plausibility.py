@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -32,9 +32,10 @@ _SPECK = 1e-4
 """Share of the moving mass below which a link's is hardly real."""
 _WIDE = 0.25
 """Radius of gyration by the arm's reach above which an inertia is hardly real; rods of half the reach have 0.15."""
+_THICK = 1.0
+"""Radius of a link, m, that no arm has."""
 _ALIKE = 3
 """So many links, if they are most of all, are hardly alike."""
-_INERTIA = "mass: ..., center: [x, y, z], tensor: [xx, yy, zz, xy, xz, yz]"
 _BLOCKS = {
     "limits": ("rad, rad/s, Nm", f"lower < upper, a velocity above 0 and an effort of at least {LEAST_EFFORT:g} Nm"),
     "inertias": ("kg, m, kg m²", "masses above 0 and moments of inertia of which none exceeds the sum of the others"),
@@ -42,67 +43,66 @@ _BLOCKS = {
 """Units and rules of what is refused, by the keys of `ArmOptions`."""
 
 
-@dataclass
-class Faults:
-    """What is wrong with the limits and inertias of an arm, and the YAML block that mends it."""
+class Fault(NamedTuple):
+    """What is wrong with the limits of a joint or the inertia of a link."""
 
-    file: Path
-    """The robot's."""
-    options: Path
-    """The YAML file that the block belongs into."""
-    _found: list[tuple[str, str, str]] = field(default_factory=list)
-    """Key of the block, its entry, and what is wrong."""
-
-    def limits(self, joint: str, wrong: Mapping[str, float | None], why: str = "") -> None:
-        """Note limits of a joint that are wrong, rad, rad/s, N m, or missing, by their keys."""
-        found = ", ".join(f"no {key}" if value is None else f"{key} {value:g}" for key, value in wrong.items())
-        self._note("limits", joint, ", ".join(f"{key}: ..." for key in wrong), f"joint '{joint}' has {found}{why}")
-
-    def inertia(self, link: str, text: str, values: str) -> None:
-        """Note what is wrong with the inertia of a link, and what to put in its place."""
-        self._note("inertias", link, values, f"link '{link}' has {text}")
-
-    def _note(self, key: str, name: str, values: str, text: str) -> None:
-        plain = name.replace("_", "a").isalnum() and not name.isdigit()
-        self._found.append((key, f"  {name if plain else repr(name)}: {{{values}}}", text))
-
-    def check(self) -> None:
-        """Raise `SettingsError` with all that was noted, if anything was; the message begins with the robot's file."""
-        expected, lines = [], []
-        for key, (units, rule) in _BLOCKS.items():
-            if entries := [entry for of, entry, _ in self._found if of == key]:
-                expected.append(rule)
-                lines += [f"{key}: # {units}", *entries]
-        if lines:
-            wrong = "; ".join(text for _, _, text in self._found)
-            mend = f"mend the file, or put this, with numbers in place of dots, into {self.options}:"
-            raise SettingsError("\n".join([f"{self.file}: {wrong}. Expected {', '.join(expected)}: {mend}", *lines]))
+    key: str
+    """One of `_BLOCKS`."""
+    name: str
+    """Of the joint or link."""
+    text: str
+    mend: str
+    """What belongs under key and name."""
 
 
-def is_body(faults: Faults, link: str, own: pin.Inertia) -> bool:
-    """Whether the inertia of one link may be summed with others, in which it would vanish; if not, that is noted."""
-    moments = np.linalg.eigvalsh(own.inertia)
-    rounding = _ROUNDING * np.abs(moments).max()
-    if own.mass < 0.0:
-        faults.inertia(link, f"mass {own.mass:g} kg", _INERTIA)
-    elif moments[0] < -rounding:
-        faults.inertia(link, _excess(own), _INERTIA)
-    return own.mass >= 0.0 and bool(moments[0] >= -rounding)
+def refuse(faults: Sequence[Fault], file: Path, options: Path) -> None:
+    """Raise `SettingsError` with all faults, if there are any, and the block for the YAML file `options`.
+
+    The message begins with `file`, the robot's.
+    """
+    expected, lines = [], []
+    for key, (units, rule) in _BLOCKS.items():
+        if entries := [(fault.name, fault.mend) for fault in faults if fault.key == key]:
+            plain = {name: name.replace("_", "a").isalnum() and not name.isdigit() for name, _ in entries}
+            expected.append(rule)
+            lines += [f"{key}: # {units}"]
+            lines += [f"  {name if plain[name] else repr(name)}: {{{mend}}}" for name, mend in entries]
+    if lines:
+        wrong = "; ".join(fault.text for fault in faults)
+        mend = f"mend the file, or put this, with numbers in place of dots, into {options}:"
+        raise SettingsError("\n".join([f"{file}: {wrong}. Expected {', '.join(expected)}: {mend}", *lines]))
 
 
-def check_inertia(faults: Faults, link: str, lumped: pin.Inertia, own: Mapping[str, pin.Inertia]) -> None:
-    """Note that a link has no mass, or moments of inertia that no body has: `lumped`, with all that is fixed to it.
+def wrong_limits(joint: str, wrong: Mapping[str, float | None], why: str = "") -> Fault:
+    """Limits of a joint that are wrong, rad, rad/s, N m, or missing, by their keys."""
+    found = ", ".join(f"no {key}" if value is None else f"{key} {value:g}" for key, value in wrong.items())
+    return Fault("limits", joint, f"joint '{joint}' has {found}{why}", ", ".join(f"{key}: ..." for key in wrong))
+
+
+def wrong_inertias(link: str, lumped: pin.Inertia, own: Mapping[str, pin.Inertia]) -> Iterator[Fault]:
+    """No mass, or moments of inertia that no body has: `lumped`, of a link with all that is fixed to it.
 
     `own`: inertias of the link and of those that are fixed to it, by name, each in its frame in the file.
     """
-    if not lumped.mass > 0.0:
-        faults.inertia(link, "no mass", _INERTIA)
-    elif _excess(lumped):
-        # A sum of inertias that bodies have is one that a body has.
-        for name, inertia in own.items():
-            if excess := _excess(inertia):
-                mend = f"mass: {inertia.mass:g}, center: {_listed(inertia.lever)}, tensor: {_balanced(inertia)}"
-                faults.inertia(name, excess, mend)
+    # In a sum these might vanish.
+    found = {name: f"mass {each.mass:g} kg" for name, each in own.items() if each.mass < 0.0}
+    found |= {name: _excess(each) for name, each in own.items() if name not in found and _is_negative(each)}
+    if not (found or lumped.mass > 0.0):
+        found = {link: "no mass"}
+    for name, text in found.items():
+        mend = "mass: ..., center: [x, y, z], tensor: [xx, yy, zz, xy, xz, yz]"
+        yield Fault("inertias", name, f"link '{name}' has {text}", mend)
+    # A sum of inertias that bodies have is one that a body has.
+    for name, each in own.items() if not found and _excess(lumped) else ():
+        if excess := _excess(each):
+            mend = f"mass: {each.mass:g}, center: {_listed(each.lever)}, tensor: {_balanced(each)}"
+            yield Fault("inertias", name, f"link '{name}' has {excess}", mend)
+
+
+def _is_negative(inertia: pin.Inertia) -> bool:
+    """Whether a principal moment is below zero by more than rounding errors."""
+    moments = np.linalg.eigvalsh(inertia.inertia)
+    return bool(moments[0] < -_ROUNDING * np.abs(moments).max())
 
 
 def _excess(inertia: pin.Inertia) -> str:
@@ -131,17 +131,13 @@ def _listed(values: Array) -> str:
     return f"[{', '.join(f'{value:.6g}' for value in np.where(np.abs(values) < 1e-12, 0.0, values))}]"
 
 
-def check_weight(faults: Faults, model: RobotModel) -> None:
-    """Note the joints that cannot hold the arm's weight in its home posture."""
+def too_weak(model: RobotModel) -> Iterator[Fault]:
+    """The joints that cannot hold the arm's weight in its home posture."""
     arm = model.arm
     for joint, torque in zip(arm.joints, np.abs(model.gravity_at(np.array(arm.home))), strict=True):
         if torque > joint.torque_limit:
             why = f" Nm, less than the {torque:.3g} Nm that gravity needs at home"
-            faults.limits(joint.name, {"effort": joint.torque_limit}, why)
-
-
-_THICK = 1.0
-"""Radius of a link, m, that no arm has."""
+            yield wrong_limits(joint.name, {"effort": joint.torque_limit}, why)
 
 
 def doubts(model: RobotModel) -> list[str]:

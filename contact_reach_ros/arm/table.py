@@ -120,21 +120,23 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
     for capsule in arm.base_capsules:
         if capsule.link:
             raise SettingsError(f"{source}: base_capsules: link = {capsule.link}; expected 0, the base")
-    check_arm(arm, source)
-    return dataclasses.replace(arm, defaults={**assumptions.defaults(arm), **arm.defaults})
+    return completed(arm, source)
 
 
-NAME_OF_PINOCCHIO = "joint 'universe' has the name that Pinocchio has for the base; expected another"
-
-
-def check_arm(arm: Arm, source: str) -> None:
-    """Check that an arm can have its numbers, whatever they come from.
+def completed(arm: Arm, source: str) -> Arm:
+    """The arm with the thresholds that it lacks, after a check that it can have its numbers, wherever they come from.
 
     Raises `SettingsError` with all that are wrong; the message begins with `source`.
     """
-    # The thresholds that there are follow from the other numbers.
-    if wrong := [*_wrong(arm)] or [*_wrong_thresholds(arm)]:
+    known: dict[str, tuple[float, ...]] = {}
+    wrong = [*_wrong(arm)]
+    if not wrong:
+        # They follow from the other numbers.
+        known = assumptions.defaults(arm)
+        wrong = [*_wrong_thresholds(arm, known)]
+    if wrong:
         raise SettingsError(f"{source}: {'; '.join(wrong)}")
+    return dataclasses.replace(arm, defaults={**known, **arm.defaults})
 
 
 def _wrong(arm: Arm) -> Iterator[str]:
@@ -144,7 +146,8 @@ def _wrong(arm: Arm) -> Iterator[str]:
         if len({*names, ""}) <= len(names):
             yield f"{key}: {', '.join(map(repr, names))}; expected names, and none twice"
     if "universe" in arm.joint_names:
-        yield NAME_OF_PINOCCHIO
+        # With it Pinocchio ends the process.
+        yield "joint 'universe' has the name that Pinocchio has for the base; expected another"
     for key, name in (("base_frame", arm.base_frame), ("tip_frame", arm.tip_frame)):
         if name in arm.link_names:
             yield f"{key} '{name}' is a moving link, too; expected a name of its own"
@@ -179,8 +182,7 @@ def _wrong(arm: Arm) -> Iterator[str]:
         yield f"reach = {arm.reach:g} m; expected a number above 0"
 
 
-def _wrong_thresholds(arm: Arm) -> Iterator[str]:
-    known = assumptions.defaults(arm)
+def _wrong_thresholds(arm: Arm, known: Mapping[str, object]) -> Iterator[str]:
     for name, values in arm.defaults.items():
         if name not in known:
             yield unknown_key(name, list(known), "defaults", "threshold")

@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arm import Arm, Capsule, Inertia
-from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
+from contact_reach_ros.arm.kinematics import spatial_inertia, tensor_matrix, tensor_values
 from contact_reach_ros.arm.rotations import quaternion_from_rotation, rotation_from_quaternion
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Settings, setting
@@ -89,7 +89,7 @@ def attach(arm: Arm, tool: Tool) -> Arm:
     flange = pin.SE3(turn, np.array(arm.tip_offset, float))
     tip = _rounded(flange.act(np.array(way)))
     turned = _rounded(quaternion_from_rotation(turn @ pin.rpy.rpyToMatrix(*angles)))
-    carried = flange.act(pin.Inertia(tool.mass, np.array(tool.center), tensor_matrix(tool.inertia)))
+    carried = flange.act(spatial_inertia(Inertia(tool.mass, tool.center, tool.inertia)))
     inertia_sets = {
         name: (*inertias[:-1], _together(inertias[-1], carried)) if tool.mass else inertias
         for name, inertias in arm.inertia_sets.items()
@@ -108,7 +108,7 @@ def attach(arm: Arm, tool: Tool) -> Arm:
 
 def _together(link: Inertia, carried: pin.Inertia) -> Inertia:
     """A link with a body that is fixed to it, both in the link's frame."""
-    body = carried + pin.Inertia(link.mass, np.array(link.center), tensor_matrix(link.tensor))
+    body = carried + spatial_inertia(link)
     return Inertia(round(body.mass, _DIGITS), _rounded(body.lever), _rounded(tensor_values(body.inertia)))
 
 

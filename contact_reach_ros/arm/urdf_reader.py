@@ -14,25 +14,23 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
-from contact_reach_ros.arm import assumptions
+from contact_reach_ros.arm import assumptions, plausibility
 from contact_reach_ros.arm.arm import Arm, Array, Inertia, Joint
 from contact_reach_ros.arm.capsule_fit import Fit
-from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values, vector
+from contact_reach_ros.arm.kinematics import spatial_inertia, tensor_values, vector
 from contact_reach_ros.arm.link_capsules import Part, link_capsules
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.mount import gravity_of, in_words
-from contact_reach_ros.arm.plausibility import LEAST_EFFORT, Faults, check_inertia, check_weight, doubts, is_body
 from contact_reach_ros.arm.robot_file import DESCRIPTIONS, find_mesh, read_robot_file
 from contact_reach_ros.arm.rotations import frame_about, quaternion_from_rotation
 from contact_reach_ros.arm.table import (
     ARMATURE,
     MAX_JOINTS,
-    NAME_OF_PINOCCHIO,
     ArmOptions,
     arm_of_table,
-    check_arm,
     check_gravity,
     check_lengths,
+    completed,
     converted,
     gravity_in,
 )
@@ -93,22 +91,30 @@ def read_arm(file: Path, options: ArmOptions | None = None, options_file: Path |
     """
     options = options or ArmOptions()
     robot, assumed = read_robot_file(file, options)
-    reader = _Reader(tree_of(robot, file), file, options, assumed, options_file)
     # What is read, and what reads it: meshes that capsules may be fitted to, and the modules of this folder.
     shapes = (link.findall("collision") or link.findall("visual") for link in robot.findall("link"))
     names = dict.fromkeys(mesh.get("filename", "") for each in shapes for shape in each for mesh in shape.iter("mesh"))
-    files = [*(find_mesh(name, file, options.packages) for name in names), *sorted(Path(__file__).parent.glob("*.py"))]
-    contents = [path and hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
+    meshes = {name: path for name in names if (path := find_mesh(name, file, options.packages)) is not None}
+    reader = _Reader(tree_of(robot, file), meshes, file, options, assumed, options_file)
+    read = [*meshes.items(), *((path.name, path) for path in sorted(Path(__file__).parent.glob("*.py")))]
+    contents = [(name, hashlib.sha256(path.read_bytes()).hexdigest()) for name, path in read]
     return kept((VERSION, file, options, assumed, ElementTree.tostring(robot), contents), reader.read)
 
 
 class _Reader:
     def __init__(
-        self, tree: UrdfTree, file: Path, options: ArmOptions, assumed: Sequence[str], options_file: Path | None
+        self,
+        tree: UrdfTree,
+        meshes: Mapping[str, Path],
+        file: Path,
+        options: ArmOptions,
+        assumed: Sequence[str],
+        options_file: Path | None,
     ) -> None:
-        self.tree, self.file, self.options = tree, file, options
+        self.tree, self.meshes, self.file, self.options = tree, meshes, file, options
         self.assumed = list(assumed)
-        self.faults = Faults(file, options_file or file.with_name(f"{_stem(file)}.yaml"))
+        self.options_file = options_file or file.with_name(f"{_stem(file)}.yaml")
+        self.faults: list[plausibility.Fault] = []
         for key in ("fixed", "limits"):
             self._check_names(key, getattr(options, key), tree.joints, "joint")
         for key in ("inertias", "capsules"):
@@ -131,9 +137,6 @@ class _Reader:
         self._check_names("tip", {tip: None}, tree.links, "link")
         moving = self._moving(base, tip)
         self._moving_names = {joint.name for joint in moving}
-        if "universe" in self._moving_names:
-            # With it Pinocchio ends the process.
-            raise SettingsError(f"{self.file}: {NAME_OF_PINOCCHIO}")
         # As the description has it, unless it is given for all joints or each; MJCF has 0 where it says nothing.
         own = [numbers_in(joint.element, "dynamics", ("armature",)).get("armature") or ARMATURE for joint in moving]
         given = own if options.armature is None else options.armature
@@ -146,15 +149,13 @@ class _Reader:
         for joint, part, own_armature in zip(moving, parts[1:], armature, strict=True):
             joints.append(self._joint(joint, part.mount, own_armature))
             inertias.append(self._inertia(part))
-        self.faults.check()
+        plausibility.refuse(self.faults, self.file, self.options_file)
         tip_place = parts[-1].places[tip]
         at_root = parts[0].places[tree.root].rotation
         gravity = gravity_in(options, str(self.file)) or gravity_of(at_root.T, tree.gravity)
         check_gravity(gravity, str(self.file))
         self._show_visuals(parts)
-        found = link_capsules(tree.links, self.file, options, parts)
-        self.assumed += [f"capsules: none on {link}, which has no collision geometry" for link in found.bare]
-        self.assumed += [f"capsules: collision geometry of {link} has no size" for link in found.without_size]
+        fixed, links, fits = link_capsules(tree.links, self.meshes, self.file, options, parts, self.assumed)
         arm = Arm(
             name=options.name or tree.name,
             joints=tuple(joints),
@@ -163,8 +164,8 @@ class _Reader:
             tip_frame=tip if tip != parts[-1].link else self._new_name(f"{tip}_tip"),
             tip_offset=vector(tip_place.translation),
             tip_rotation=_quaternion(tip_place.rotation),
-            capsules=found.links,
-            base_capsules=found.base,
+            capsules=links,
+            base_capsules=fixed,
             inertia_sets={"nominal": tuple(inertias)},
             shoulder=(0.0, 0.0, 0.0),
             reach=0.0,
@@ -176,9 +177,8 @@ class _Reader:
             self.assumed.append(f"mount: {tree.root} stands upright: {in_words(arm)}")
         arm = self._completed(arm)
         robot = RobotModel(arm)
-        check_weight(self.faults, robot)
-        self.faults.check()
-        return Reading(arm, found.fits, self.assumed, doubts(robot))
+        plausibility.refuse([*plausibility.too_weak(robot)], self.file, self.options_file)
+        return Reading(arm, fits, self.assumed, plausibility.doubts(robot))
 
     def _completed(self, arm: Arm) -> Arm:
         """The arm with shoulder, reach, home and thresholds."""
@@ -192,10 +192,7 @@ class _Reader:
         home = assumptions.home(arm) if options.home is None else options.home
         if not options.thresholds:
             self.assumed.append("thresholds: by the joints' torque limits and inertias")
-        arm = dataclasses.replace(arm, home=home)
-        arm = dataclasses.replace(arm, defaults={**assumptions.defaults(arm), **options.thresholds})
-        check_arm(arm, str(self.file))
-        return arm
+        return completed(dataclasses.replace(arm, home=home, defaults=options.thresholds), str(self.file))
 
     def _check_names(self, key: str, given: Mapping[str, object], known: Mapping[str, object], what: str) -> None:
         for name in given:
@@ -297,24 +294,22 @@ class _Reader:
     def _inertia(self, part: Part) -> Inertia:
         """Of a moving link with all that is fixed to it."""
         own = {name: each for name in part.places if (each := self._own_inertia(name)) is not None}
-        bodies = [name for name, each in own.items() if is_body(self.faults, name, each)]
         lumped = pin.Inertia.Zero()
-        for name in bodies:
-            lumped += part.places[name].act(own[name])
-        if len(bodies) == len(own):
-            check_inertia(self.faults, part.link, lumped, own)
+        for name, each in own.items():
+            lumped += part.places[name].act(each)
+        self.faults += plausibility.wrong_inertias(part.link, lumped, own)
         return Inertia(float(lumped.mass), vector(lumped.lever), tensor_values(lumped.inertia))
 
     def _own_inertia(self, name: str) -> pin.Inertia | None:
         """The inertia of a link in its frame in the file: the given one, or the file's; None without a mass."""
         given, found = self.options.inertias.get(name), self.tree.links[name].find("inertial")
         if given is not None:
-            return pin.Inertia(given.mass, np.array(given.center), tensor_matrix(given.tensor))
+            return spatial_inertia(given)
         mass = 0.0 if found is None else numbers_in(found, "mass", ("value",)).get("value", 0.0)
         if found is None or mass == 0.0:
             return None
-        tensor = dict.fromkeys(TENSOR, 0.0) | numbers_in(found, "inertia", TENSOR)
-        about_center = pin.Inertia(mass, np.zeros(3), tensor_matrix(tuple(tensor[key] for key in TENSOR)))
+        xx, yy, zz, xy, xz, yz = (dict.fromkeys(TENSOR, 0.0) | numbers_in(found, "inertia", TENSOR)).values()
+        about_center = spatial_inertia(Inertia(mass, (0.0, 0.0, 0.0), (xx, yy, zz, xy, xz, yz)))
         return placement(found.find("origin")).act(about_center)
 
     def _is_held(self, joint: UrdfJoint) -> bool:
@@ -354,9 +349,9 @@ class _Reader:
         if remark and not given.keys() & set(RANGE):
             self.assumed.append(f"limits: {joint.name}{remark}")
         lower, upper, velocity, effort = (limits.get(key, math.nan) for key in LIMITS)
-        accepted = (lower < upper, lower < upper, velocity > 0.0, effort >= LEAST_EFFORT)
+        accepted = (lower < upper, lower < upper, velocity > 0.0, effort >= plausibility.LEAST_EFFORT)
         if wrong := {key: limits.get(key) for key, is_right in zip(LIMITS, accepted, strict=True) if not is_right}:
-            self.faults.limits(joint.name, wrong)
+            self.faults.append(plausibility.wrong_limits(joint.name, wrong))
         # Without the rounding errors of a base that is turned about the vertical.
         offset, turn = vector(np.round(place.translation, _DIGITS)), _quaternion(place.rotation)
         return Joint(joint.name, offset, turn, lower, upper, velocity, effort, armature)

@@ -244,6 +244,10 @@ LOST = '<mesh filename="package://x/lost.stl"/>'
         ({"part_2": link("part_2", extra=ball()).replace('<mass value="', '<mass value="-')}, "'part_2' has mass -"),
         ({"stand": link("stand").replace("0.03", "O.03")}, "'stand': inertia iyy = 'O.03'; expected 1 finite number"),
         (
+            {"part_2": link("part_2", extra=ball()).replace('"0.02"', '"-0.02"')},
+            "'part_2' .* moments .*not all above 0.*inertias:.*part_2: {mass: ",
+        ),
+        (
             {"part_2": link("part_2", extra=ball()).replace('"0.02"', '"1.02"')},
             "'part_2' .* moments .*inertias:.*part_2: {mass: ",
         ),
