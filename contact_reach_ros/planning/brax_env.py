@@ -52,14 +52,13 @@ from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.arithmetic import collect, dot, single
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.dynamics import (
-    Capsules,
     arm_dynamics,
     flange_drift,
     link_frames,
     place_capsules,
 )
 from contact_reach_ros.planning.transfer.model import load_system
-from contact_reach_ros.planning.transfer.pipeline import Pose, Reference, joint_acceleration
+from contact_reach_ros.planning.transfer.pipeline import Reference, joint_acceleration
 from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import obstacle_spheres, rest_positions, sphere_capacity
@@ -247,8 +246,6 @@ class State(base.State):
     """Reference in force; None if it steps."""
     obstacles: Obstacles | None
     """Spheres; None in free space."""
-    reference: Reference
-    """That of the last knot."""
     link_force: jax.Array
     """(L, 1) largest force in the last knot on each of the arm's links with capsules, N."""
 
@@ -318,68 +315,54 @@ class ContactReach(PipelineEnv):
                 "the system is not the one that this environment was made with; expected that one, whose fields are "
                 "constants of the compiled program: domains cannot be randomised"
             )
-        joints = q[:, None]
-        pose = pipeline.tip_pose(self._objective.system, joints)
-        hold = Reference(pose.position, pose.rotation, joints)
-        none = jnp.zeros((len(self._objective.system.arm.contact_links), 1), q.dtype)
-        before = self._objective.before(self._problem, joints, pose)
-        return State(q, qd, *kinematics.forward(self.sys, q, qd), None, before, self._problem.obstacles, hold, none)
+        joints, objective = q[:, None], self._objective
+        before = objective.before(self._problem, joints, pipeline.tip_pose(objective.system, joints))
+        none = jnp.zeros((len(objective.system.arm.contact_links), 1), q.dtype)
+        return State(q, qd, *kinematics.forward(self.sys, q, qd), None, before, self._problem.obstacles, none)
 
     def pipeline_step(self, pipeline_state: State, action: jax.Array) -> State:
         """State of the closed loop after one knot under the action {Δx, Δq} (6 + n,), m and rad."""
-        return self._knot(pipeline_state, action)[0]
+        return self._knot(pipeline_state, action[None, :, None])[0]
 
     def reset(self, rng: jax.Array) -> EpisodeState:
         """The start of the scene, at rest."""
         q, v = self._problem.q[:, 0], self._problem.v[:, 0]
         pipeline_state = self.pipeline_init(jnp.asarray(q), jnp.asarray(v))
-        start, zero = pipeline_state.reference.position, jnp.zeros(())
+        start = pipeline.tip_pose(self._objective.system, pipeline_state.q[:, None]).position
+        zero, info = jnp.zeros(()), {"start": start, "lead": jnp.zeros((3, 1))}
         metrics = dict.fromkeys((*self._problem.weights, "distance", "contact_force"), zero)
-        info = {"start": start, "lead": jnp.zeros((3, 1))}
         return EpisodeState(pipeline_state, self._observe(pipeline_state, start), zero, zero, metrics, info)
 
     def step(self, state: EpisodeState, action: jax.Array) -> EpisodeState:
         """One knot; `action` is clipped to [-1, 1]."""
-        before, arm = state.pipeline_state, self._objective.system.arm
-        action = self._space.actions(jnp.clip(action, -1.0, 1.0)[:, None], self._problem)[0, :, 0]
-        after, tip, capsules = self._knot(before, action)
-        q = jnp.stack([before.q, after.q])[..., None]
+        system = self._objective.system
+        actions = self._space.actions(jnp.clip(action, -1.0, 1.0)[:, None], self._problem)
+        after, rollout = self._knot(state.pipeline_state, actions)
         # Progress counts from where the episode started.
-        pose = Pose(jnp.stack([state.info["start"], tip.position]), jnp.stack([tip.rotation] * 2))
-        force = after.link_force.max(axis=0)
-        reference, *forces = jax.tree.map(lambda array: array[None], (after.reference, after.link_force, force))
-        both = jax.tree.map(lambda *ends: jnp.stack(ends), self._objective.end_of_knot(before.q[:, None])[1], capsules)
-        context = Context(
-            arm,
-            self.dt,
-            self._problem,
-            action[None, :, None],
-            Rollout(q, pose, reference, forces[0], forces[1], both),
-            state.info["lead"],
-            self._objective.system.gains.task,
-        )
+        position = rollout.pose.position.at[0].set(state.info["start"])
+        rollout = rollout._replace(pose=rollout.pose._replace(position=position))
+        context = Context(system.arm, self.dt, self._problem, actions, rollout, state.info["lead"], system.gains.task)
         terms = {name: values[0] for name, values in weighted_terms(context).items()}
-        distance = jnp.linalg.norm(tip.position - self._problem.goal_position)
+        distance = jnp.linalg.norm(position[1] - self._problem.goal_position)
         # Brax's wrappers add metrics and information of their own.
         return state.replace(
             pipeline_state=after,
-            obs=self._observe(after, tip.position),
+            obs=self._observe(after, position[1]),
             reward=-sum(terms.values(), start=jnp.zeros(())),
             done=jnp.where(jnp.isfinite(after.q).all(), 0.0, 1.0),
-            metrics={**state.metrics, **terms, "distance": distance, "contact_force": force[0]},
-            info={**state.info, "lead": action[:3, None]},
+            metrics={**state.metrics, **terms, "distance": distance, "contact_force": rollout.contact[0, 0]},
+            info={**state.info, "lead": actions[0, :3]},
         )
 
-    def _knot(self, state: State, action: jax.Array) -> tuple[State, Pose, Capsules]:
-        """As `pipeline_step`, with the tip's pose and the capsules; the arithmetic is the planner's."""
-        objective = self._objective
-        problem = self._problem._replace(q=state.q[:, None], v=state.qd[:, None], obstacles=state.obstacles)
-        start, step = objective.transfer(problem, 1)
-        carry = start, pipeline.tip_pose(objective.system, start.q), state.before
-        (end, pose, before), (_, _, reference, link_force, _, capsules) = objective.knot(step, carry, action[:, None])
+    def _knot(self, state: State, actions: jax.Array) -> tuple[State, Rollout]:
+        """As `pipeline_step` for actions (1, 6 + n, 1), with the motion; the arithmetic is the planner's."""
+        problem = self._problem._replace(
+            q=state.q[:, None], v=state.qd[:, None], obstacles=state.obstacles, before=state.before
+        )
+        (end, _, before), rollout = self._objective.run(problem, actions)
         q, qd = end.q[:, 0], end.qd[:, 0]
         moved = kinematics.forward(self.sys, q, qd)
-        return State(q, qd, *moved, None, before, end.obstacles, reference, link_force), pose, capsules
+        return State(q, qd, *moved, None, before, end.obstacles, rollout.link_force[0]), rollout
 
     def _observe(self, state: State, position: jax.Array) -> jax.Array:
         lanes = (position, self._problem.goal_position - position, state.link_force)

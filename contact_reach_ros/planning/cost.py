@@ -44,13 +44,17 @@ class Objective:
 
     def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
         """Run the transfer model under the actions (H, 6 + n, B), knot by knot."""
+        return self.run(problem, actions)[1]
+
+    def run(self, problem: Problem, actions: jax.Array) -> tuple[Carry, Rollout]:
+        """As `roll_out`, with what the last knot leaves to one after it."""
         start, step = self.transfer(problem, actions.shape[-1])
         pose = pipeline.tip_pose(self.system, start.q)
         carry = start, pose, self.before(problem, start.q, pose)
-        _, (q, poses, reference, link_force, contact, capsules) = jax.lax.scan(
+        end, (q, poses, reference, link_force, contact, capsules) = jax.lax.scan(
             functools.partial(self.knot, step), carry, actions
         )
-        return Rollout(
+        return end, Rollout(
             q=jnp.concatenate([start.q[None], q]),
             pose=jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pose, poses),
             reference=reference,
