@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
 
-from contact_reach_ros.planning.solver.hybrid import Draw, Elite, HybridSolver, Sample, cheapest
+from contact_reach_ros.planning.solver.hybrid import Draw, HybridSolver, cheapest
 
 _GRADIENT_STEPS = 10
 
@@ -16,26 +15,24 @@ class CmaSolver(HybridSolver):
     """Plain CMA-ES, without a gradient."""
 
     def _search_line(
-        self, problem: Any, sample: Sample, draw: Draw, select: Callable[[jax.Array], Elite]
-    ) -> tuple[Elite, jax.Array, jax.Array]:
-        elite = select(self._cost(problem, sample.repaired))
-        points = elite.mean[:, None]
-        return elite, points, self._cost(problem, points)
+        self, problem: Any, mean: jax.Array, draw: Draw, line: int | jax.Array = 0
+    ) -> tuple[jax.Array, jax.Array]:
+        points = mean[:, None]
+        return points, self._cost(problem, points)
 
 
 class GradientSolver(HybridSolver):
     """Algorithm 1 with ten line searches in each step, each from the best point of the one before."""
 
     def _search_line(
-        self, problem: Any, sample: Sample, draw: Draw, select: Callable[[jax.Array], Elite]
-    ) -> tuple[Elite, jax.Array, jax.Array]:
-        elite, points, costs = super()._search_line(problem, sample, draw, select)
-
+        self, problem: Any, mean: jax.Array, draw: Draw, line: int | jax.Array = 0
+    ) -> tuple[jax.Array, jax.Array]:
         def search(index: jax.Array, last: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            points = self._points_on_line(problem, cheapest(*last)[0], draw, index)
-            return points, self._cost(problem, points)
+            return super(GradientSolver, self)._search_line(problem, cheapest(*last)[0], draw, index)
 
-        return elite, *jax.lax.fori_loop(1, _GRADIENT_STEPS, search, (points, costs))
+        first = super()._search_line(problem, mean, draw, line)
+        found: tuple[jax.Array, jax.Array] = jax.lax.fori_loop(1, _GRADIENT_STEPS, search, first)
+        return found
 
 
 SOLVERS: dict[str, type[HybridSolver]] = {"hybrid": HybridSolver, "cma": CmaSolver, "gradient": GradientSolver}

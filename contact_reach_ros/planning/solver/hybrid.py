@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -40,28 +39,6 @@ class Search(NamedTuple):
     """(n,) best mean so far."""
     best_cost: jax.Array
     """()."""
-
-
-class Sample(NamedTuple):
-    """The candidates of one step."""
-
-    steps: jax.Array
-    """(n, k) y = (a_i − m) / σ."""
-    points: jax.Array
-    """(n, k) a_i."""
-    repaired: jax.Array
-    """(n, k) a_r, inside the box."""
-
-
-class Elite(NamedTuple):
-    """The best candidates of one step."""
-
-    steps: jax.Array
-    """(n, k_top)."""
-    valid: jax.Array
-    """(k_top,) 1 where the cost was finite, else 0."""
-    mean: jax.Array
-    """(n,) the new mean, inside the box."""
 
 
 class HybridSolver:
@@ -139,50 +116,39 @@ class HybridSolver:
 
     def _advance(self, problem: Any, search: Search, draw: Draw) -> Search:
         """One step of Algorithm 1, lines 5 to 18, all in one program."""
-        sample = self._draw_sample(search.distribution, draw)
-        with_outside = self._settings.sampling == PAPER
-        outside = self._cost(problem, sample.points) if with_outside else None
-
-        def select(costs: jax.Array) -> Elite:
-            return self._select_elite(search.distribution, sample, costs, outside)
-
-        elite, points, costs = self._search_line(problem, sample, draw, select)
-        return self._update_search(search, sample, elite, points, costs)
-
-    def _search_line(
-        self, problem: Any, sample: Sample, draw: Draw, select: Callable[[jax.Array], Elite]
-    ) -> tuple[Elite, jax.Array, jax.Array]:
-        """The elite, the points (n, k) of the line search and their costs (k,)."""
-        elite = select(self._cost(problem, sample.repaired))
-        points = self._points_on_line(problem, elite.mean, draw)
-        return elite, points, self._cost(problem, points)
-
-    def _draw_sample(self, distribution: Distribution, draw: Draw) -> Sample:
-        """Lines 6 and 7."""
+        distribution = search.distribution
+        # Lines 6 and 7: y = (a_i − m) / σ, a_i and a_r, (n, k) each.
         steps = sample(distribution, seeded_key(draw, 0), self._settings.population)
         points = distribution.mean[:, None] + distribution.sigma * steps
-        return Sample(steps, points, jnp.clip(points, -1.0, 1.0))
-
-    def _select_elite(
-        self, distribution: Distribution, sample: Sample, costs: jax.Array, outside: jax.Array | None
-    ) -> Elite:
-        """Lines 8 to 13 from the costs (k,) of the repaired candidates and, for line 9, of the unrepaired ones."""
-        if outside is None:
-            # In proportion to the spread among the best, so that cost and penalty have similar magnitudes.
-            best, _ = jax.lax.top_k(-ranked_costs(costs), self._settings.elite)
-            spread = jnp.where(jnp.isfinite(best[-1]), best[0] - best[-1], 0.0)
-            distance = ((sample.points - sample.repaired) ** 2).sum(axis=0)
-            penalty = _BOUNDARY_WEIGHT * spread * distance
-        else:
-            penalty = jnp.where((sample.points != sample.repaired).any(axis=0), jnp.abs(outside), 0.0)
+        repaired = jnp.clip(points, -1.0, 1.0)
+        # Lines 8 to 13, of which candidates without a finite cost are no part.
+        costs = self._cost(problem, repaired)
+        penalty = self._penalty(problem, points, repaired, costs)
         best, index = jax.lax.top_k(-ranked_costs(costs + penalty), self._settings.elite)
-        valid = jnp.isfinite(best).astype(costs.dtype)
-        steps = sample.steps[:, index]
-        mean = distribution.mean + distribution.sigma * (steps @ valid) / jnp.maximum(valid.sum(), 1.0)
-        return Elite(steps, valid, jnp.clip(mean, -1.0, 1.0))
+        valid, elite = jnp.isfinite(best).astype(costs.dtype), steps[:, index]
+        mean = distribution.mean + distribution.sigma * (elite @ valid) / jnp.maximum(valid.sum(), 1.0)
+        # Lines 14 to 18.
+        mean, cost = cheapest(*self._search_line(problem, jnp.clip(mean, -1.0, 1.0), draw))
+        better = cost < search.best_cost
+        return Search(
+            distribution=update(self._rates, distribution, elite, valid, mean),
+            best=jnp.where(better, mean, search.best),
+            best_cost=jnp.where(better, cost, search.best_cost),
+        )
 
-    def _points_on_line(self, problem: Any, mean: jax.Array, draw: Draw, line: int | jax.Array = 0) -> jax.Array:
-        """Lines 14 and 15: points (n, k) to try along the descent direction, the mean itself first.
+    def _penalty(self, problem: Any, points: jax.Array, repaired: jax.Array, costs: jax.Array) -> jax.Array:
+        """Line 9: the penalty (k,) of points (n, k) that were repaired, at these costs (k,)."""
+        if self._settings.sampling == PAPER:
+            return jnp.where((points != repaired).any(axis=0), jnp.abs(self._cost(problem, points)), 0.0)
+        # In proportion to the spread among the best, so that cost and penalty have similar magnitudes.
+        best, _ = jax.lax.top_k(-ranked_costs(costs), self._settings.elite)
+        spread = jnp.where(jnp.isfinite(best[-1]), best[0] - best[-1], 0.0)
+        return _BOUNDARY_WEIGHT * spread * ((points - repaired) ** 2).sum(axis=0)
+
+    def _search_line(
+        self, problem: Any, mean: jax.Array, draw: Draw, line: int | jax.Array = 0
+    ) -> tuple[jax.Array, jax.Array]:
+        """Lines 14 and 15: points (n, k) along the descent direction, the mean (n,) first, and their costs (k,).
 
         `line` counts the line searches of one step, for solvers with several.
         """
@@ -192,19 +158,8 @@ class HybridSolver:
         direction = GRADIENT_REACH * slope / (jnp.abs(slope).max() + 1e-12)
         beta = jax.random.uniform(seeded_key((*draw, line), 1), (self._settings.population,), mean.dtype) ** 2
         beta = beta.at[0].set(0.0)
-        return jnp.clip(mean[:, None] - direction[:, None] * beta, -1.0, 1.0)
-
-    def _update_search(
-        self, search: Search, sample: Sample, elite: Elite, points: jax.Array, costs: jax.Array
-    ) -> Search:
-        """Lines 16 to 18 from points (n, k) to choose the mean from and their costs (k,)."""
-        mean, cost = cheapest(points, costs)
-        better = cost < search.best_cost
-        return Search(
-            distribution=update(self._rates, search.distribution, elite.steps, elite.valid, mean),
-            best=jnp.where(better, mean, search.best),
-            best_cost=jnp.where(better, cost, search.best_cost),
-        )
+        points = jnp.clip(mean[:, None] - direction[:, None] * beta, -1.0, 1.0)
+        return points, self._cost(problem, points)
 
 
 def slopes(cost: CostFunction, given: tuple[Any, jax.Array], directions: jax.Array) -> jax.Array:
