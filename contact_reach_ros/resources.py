@@ -93,19 +93,23 @@ def kept(parts: tuple[object, ...], make: Callable[[], T]) -> T:
     parts
         Everything that the value depends on.
     make
-        Makes it; that it cannot be kept is no error.
+        Makes it; that it cannot be kept is no error, and what is damaged is made anew.
     """
+    name = hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
     try:
-        file = cache_directory() / f"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}.pickle"
+        file = cache_directory() / f"{name}.pickle"
     except ContactReachError:
         return make()
-    with contextlib.suppress(Exception):  # pickle raises whatever a damaged file leads to
-        known: T = pickle.loads(file.read_bytes())
-        return known
+    with contextlib.suppress(Exception):  # pickle raises whatever another version's file leads to
+        digest, content = (stored := file.read_bytes())[:32], stored[32:]
+        if digest == hashlib.sha256(name.encode() + content).digest():
+            known: T = pickle.loads(content)
+            return known
     value = make()
+    content = pickle.dumps(value)
     with contextlib.suppress(OSError):
         new = file.with_suffix(f".{os.getpid()}")
-        new.write_bytes(pickle.dumps(value))
+        new.write_bytes(hashlib.sha256(name.encode() + content).digest() + content)
         new.replace(file)
     return value
 

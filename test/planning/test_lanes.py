@@ -176,22 +176,3 @@ def test_what_is_too_large_is_left_to_xla_with_one_warning(caplog, monkeypatch, 
 def test_with_xla_nothing_is_compiled_by_lanes(monkeypatch):
     monkeypatch.setattr(compiled, "_target", lambda *_: pytest.fail("compiled by lanes"))
     jax.jit(by_lanes(lambda given, candidates: candidates.sum(axis=0), XLA))(GIVEN, CANDIDATES)
-
-
-@pytest.mark.parametrize("harm", [lambda content: content[:-5], lambda content: b"", lambda content: content[::-1]])
-def test_code_that_is_kept_is_used_and_made_anew_where_it_is_damaged_or_that_of_another(tmp_path, monkeypatch, harm):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    made = []
-
-    def kept(name: str) -> bytes:
-        return compiled._kept(name, lambda: made.append(name) or f"code of {name}".encode())
-
-    for _ in range(2):
-        assert kept("one") == b"code of one"
-    assert kept("other") == b"code of other"
-    one, other = (tmp_path / "contact_reach_ros" / name for name in made)
-    one.write_bytes(harm(one.read_bytes()))
-    assert kept("one") == b"code of one"
-    one.write_bytes(other.read_bytes())
-    assert [kept("one"), kept("one")] == [b"code of one"] * 2
-    assert made == ["one", "other", "one", "one"]

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import functools
 import hashlib
 import logging
 import math
-import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -21,11 +19,10 @@ import llvmlite.binding as llvm
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
-from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.planning.lanes.emit import module
 from contact_reach_ros.planning.lanes.trace import Trace, UnknownOperationError
 from contact_reach_ros.planning.settings import XLA
-from contact_reach_ros.resources import cache_directory
+from contact_reach_ros.resources import kept
 
 _log = logging.getLogger(__name__)
 
@@ -107,7 +104,7 @@ def _target(jaxpr: Any, derivative: Callable[[], Any] | None) -> str:
     name = f"contact_reach_{key.hexdigest()[:32]}"
     if name not in _engines:
         own = derivative or (lambda: jaxpr)
-        code = _kept(name, lambda: _machine().emit_object(llvm.parse_assembly(_module(own()))))
+        code = kept((name,), lambda: _machine().emit_object(llvm.parse_assembly(_module(own()))))
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
@@ -163,24 +160,6 @@ def _rule(equation: Any) -> Any:
     alone = ClosedJaxpr(Jaxpr((), variables, equation.outvars, [equation], debug_info=about), ())
     own = [jax.ShapeDtypeStruct(each.aval.shape, each.aval.dtype) for each in variables]
     return jax.make_jaxpr(functools.partial(jax.jvp, jaxpr_as_fun(alone)))(own, own)
-
-
-def _kept(name: str, make: Callable[[], bytes]) -> bytes:
-    """Code out of the user's cache; it is made, and kept there, if it is not there or damaged."""
-    try:
-        file = cache_directory() / name
-    except ContactReachError:
-        return make()
-    with contextlib.suppress(OSError):
-        content = file.read_bytes()
-        if content[:32] == hashlib.sha256(name.encode() + content[32:]).digest():
-            return content[32:]
-    code = make()
-    with contextlib.suppress(OSError):
-        new = file.with_suffix(f".{os.getpid()}")
-        new.write_bytes(hashlib.sha256(name.encode() + code).digest() + code)
-        new.replace(file)
-    return code
 
 
 @functools.cache
