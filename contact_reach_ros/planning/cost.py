@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
-from contact_reach_ros.arm.kinematics import link_frames_of_many, task_jacobians
+from contact_reach_ros.arm.kinematics import AXIS, link_frames_of_many, task_jacobians
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.settings import BOUNDS, POSTURE_BOUND, ROTATION_BOUND, PlanningSettings
 from contact_reach_ros.planning.terms import Context, Number, Problem, Rollout, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
-from contact_reach_ros.planning.transfer.arithmetic import collect
+from contact_reach_ros.planning.transfer.arithmetic import collect, dot, rotate
 from contact_reach_ros.planning.transfer.dynamics import Capsules, link_frames, place_capsules
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.planning.transfer.pipeline import N_TASK, Pose, Reference, System
@@ -134,14 +134,22 @@ class Objective:
         )
 
     def latch(self, q: jax.Array, v: jax.Array, pose: Pose, action: jax.Array) -> Reference:
-        """The reference that an action (6 + n, B) stands for at joint angles `q` (n, B) and speeds `v`.
+        """The reference x_d = x ⊕ Δx, q_d = q + Δq that an action {Δx, Δq} (6 + n, B) stands for.
 
-        One that moves lags behind by half of its ramp: it is that of where the arm will be by then at these speeds.
+        It is taken at joint angles `q` (n, B), where the flange has this pose. One that moves lags behind by half of
+        its ramp: it is that of where the arm will be by then at speeds `v` (n, B).
+
+        Δx is a translation in m and a rotation vector in rad in base axes, Δq is in rad. Where law (1) controls the
+        direction of the flange's z axis only, the rotation vector is in the flange's axes, and its last component stays
+        zero.
         """
         if self.ramp:
             q = q + 0.5 * self.ramp * v
             pose = pipeline.tip_pose(self.system, q)
-        return pipeline.latch(self.system, q, pose, action)
+        turn = action[3:N_TASK]
+        if self.system.gains.task == AXIS:
+            turn = jnp.stack([dot(row, turn) for row in pose.rotation])
+        return Reference(pose.position + action[:3], rotate(turn, pose.rotation), q + action[N_TASK:])
 
 
 def on_the_way(before: Reference | None, reference: Reference, share: Number | None) -> Reference:

@@ -60,7 +60,7 @@ def settled(objective):
     @jax.jit
     def settle(q: jax.Array, obstacles: Obstacles) -> pipeline.State:
         state = pipeline.init(system, q, jnp.zeros_like(q), obstacles)
-        held = pipeline.latch(system, state.q, pipeline.tip_pose(system, state.q), jnp.zeros((system.action_size, 1)))
+        held = pipeline.Reference(*pipeline.tip_pose(system, state.q), state.q)
         return jax.lax.fori_loop(0, 400, lambda _, state: pipeline.step(system, state, held), state)
 
     return lambda obstacles: settle(jnp.asarray(HOME)[:, None], obstacles)

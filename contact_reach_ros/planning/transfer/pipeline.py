@@ -29,7 +29,7 @@ import numpy as np
 
 from contact_reach_ros.arm.kinematics import AXIS, POSE
 from contact_reach_ros.control.settings import JOINT_SHARE, SINGULARITY_FLOOR, ImpedanceSettings
-from contact_reach_ros.planning.transfer.arithmetic import cross, dot, rotate
+from contact_reach_ros.planning.transfer.arithmetic import cross, dot
 from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, contact_step
 from contact_reach_ros.planning.transfer.dynamics import Dynamics, Frames, arm_dynamics, flange_drift, link_frames
 from contact_reach_ros.planning.transfer.model import ArmModel
@@ -101,23 +101,6 @@ def tip_pose(sys: System, q: jax.Array) -> Pose:
     """Flange pose at joint angles `q` (n, B)."""
     frames = link_frames(sys.arm, q)
     return Pose(frames.flange, frames.flange_rotation)
-
-
-def latch(sys: System, q: jax.Array, pose: Pose, action: jax.Array) -> Reference:
-    """The reference that an action {Δx, Δq} (6 + n, B) stands for when it takes effect at `q` (n, B): x_d = x ⊕ Δx.
-
-    `pose` is the flange's at `q`. Δx is a translation in m and a rotation vector in rad in base axes, Δq is in rad.
-    Where law (1) controls the direction of the flange's z axis only, the rotation vector is in the flange's axes, and
-    its last component stays zero.
-    """
-    turn = action[3:N_TASK]
-    if sys.gains.task == AXIS:
-        turn = jnp.stack([dot(row, turn) for row in pose.rotation])
-    return Reference(
-        position=pose.position + action[:3],
-        rotation=rotate(turn, pose.rotation),
-        posture=q + action[N_TASK:],
-    )
 
 
 def step(sys: System, state: State, act: Reference) -> State:
