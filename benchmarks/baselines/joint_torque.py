@@ -29,7 +29,7 @@ from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
 from contact_reach_ros.planning.cost import Objective, ReferenceSpace, knot_bounds, make_objective
 from contact_reach_ros.planning.plan import Held, Plan, ReferenceTrajectory
-from contact_reach_ros.planning.prediction import Predictor, reference_at
+from contact_reach_ros.planning.prediction import reference_at
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.solver import Solution
@@ -202,6 +202,9 @@ class TorquePlanner(RecedingHorizonPlanner):
         (n,) of the joints where no plan is in force, N m s/rad.
     """
 
+    _make_space = TorqueSpace
+    _advance = staticmethod(torque_step)
+
     def __init__(
         self,
         arm: Arm,
@@ -217,12 +220,6 @@ class TorquePlanner(RecedingHorizonPlanner):
         self._damping = damping
         self._ramp_s = 0.0
         self._model = RobotModel(arm)
-
-    def _make_space(self, gains: ImpedanceSettings) -> TorqueSpace:
-        return TorqueSpace(self._arm, self._settings, gains)
-
-    def _make_predictor(self) -> Predictor:
-        return Predictor(self._space.objective.system, torque_step)
 
     def _hold(self, q: Array) -> Held:
         """Damped joints."""

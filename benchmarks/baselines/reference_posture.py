@@ -47,5 +47,4 @@ class PostureSpace(ReferenceSpace):
 class PosturePlanner(RecedingHorizonPlanner):
     """Plans Δx; law (6) moves the redundant joints."""
 
-    def _make_space(self, gains: ImpedanceSettings) -> PostureSpace:
-        return PostureSpace(self._arm, self._settings, gains)
+    _make_space = PostureSpace

@@ -285,7 +285,7 @@ class ContactReach(PipelineEnv):
             obstacles=obstacles,
             goal_position=single(scene.target[:, None]),
             goal_rotation=single(np.eye(3)[:, :, None]),
-            weights={name: single(weight) for name, weight in term_weights(settings, {"orientation": 0.0}).items()},
+            weights={name: single(weight) for name, weight in (term_weights(settings) | {"orientation": 0.0}).items()},
             permitted_force=single(ContactBudget().permitted_force),
             bodies=nearest_bodies(arm, scene.start, scene.environment),
         )

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from contact_reach_ros.agreement import plan_basis
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.control.references import Reference
-from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
+from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.detour import Detours
@@ -27,7 +27,7 @@ from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings, steady_speed
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
 from contact_reach_ros.planning.solver.solver import CostFunction, Solution, Solver, State, shift_solution
-from contact_reach_ros.planning.terms import LEAST_SPEED, Approach, Number, Problem, Rollout, term_weights
+from contact_reach_ros.planning.terms import LEAST_SPEED, Approach, Problem, Rollout, term_weights
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.planning.transfer.clearance import Bodies
@@ -90,6 +90,10 @@ class RecedingHorizonPlanner:
         What the next plan starts from; None after a reset. It may be set to an earlier value.
     """
 
+    _make_space = ReferenceSpace
+    _advance: Callable[[pipeline.System, pipeline.State, Any], pipeline.State] = staticmethod(pipeline.step)
+    """A step of what the start of a plan is predicted with."""
+
     def __init__(
         self,
         arm: Arm,
@@ -112,10 +116,9 @@ class RecedingHorizonPlanner:
         self._max_position_error = controller.supervision.max_position_error
         self._body_speed = controller.limits.body_speed
         self._ramp_s = gains.reference_ramp
-        self._space = self._make_space(gains)
-        self._spread = self._space.spread
-        self._predictor = self._make_predictor()
-        self._solver = solver(self._space.cost, self.size, settings)
+        self._space = self._make_space(arm, settings, gains)
+        self._predictor = Predictor(self._space.objective.system, self._advance)
+        self._solver = solver(self._space.cost, len(self._space.bounds), settings)
         self._evaluate = jax.jit(by_lanes(self._roll_out, settings.backend))
         self.memory: Memory | None = None
         self._number = 0
@@ -162,11 +165,6 @@ class RecedingHorizonPlanner:
         self.reset()
         self._settings = dataclasses.replace(self._settings, seed=seed)
         self._solver.reseed(seed)
-
-    @property
-    def size(self) -> int:
-        """Number of variables that the solver searches."""
-        return len(self._space.bounds)
 
     def plan(self, request: Request) -> Plan:
         """Make a plan.
@@ -232,14 +230,6 @@ class RecedingHorizonPlanner:
         self.memory = Memory(trajectories, request, solution.best, solution.state, approach, since_reset + 1)
         return plan
 
-    def _make_space(self, gains: ImpedanceSettings) -> ReferenceSpace:
-        """Decision variables of a plan."""
-        return ReferenceSpace(self._arm, self._settings, gains)
-
-    def _make_predictor(self) -> Predictor:
-        """Predicts the state in which a plan takes effect."""
-        return Predictor(self._space.objective.system)
-
     def _hold(self, q: Array) -> Held:
         """What is in force without a plan, at joint angles `q` (n,), rad."""
         return hold_at(self._arm, q)
@@ -299,8 +289,14 @@ class RecedingHorizonPlanner:
         bodies: Bodies,
         before: Reference | None,
     ) -> Problem:
-        goal, detour = request.goal, request.detour
+        goal, detour, memory, weights = request.goal, request.detour, self.memory, term_weights(self._settings)
         rotation = np.eye(3) if request.rotation is None else request.rotation
+        if request.rotation is None:
+            weights["orientation"] = 0.0
+        if memory is not None and goal.is_near(memory.request.goal):
+            weights |= memory.approach.weights(self._settings)
+        if detour is not None:
+            weights |= detour.weights(self._settings)
         problem = Problem(
             q=q,
             v=v,
@@ -308,7 +304,7 @@ class RecedingHorizonPlanner:
             goal_position=single(goal.position[:, None]),
             goal_rotation=single(rotation[:, :, None]),
             goal_velocity=single(goal.velocity[:, None]),
-            weights=self._weights_for(request),
+            weights={name: single(weight) for name, weight in weights.items()},
             permitted_force=single(self._permitted_force),
             body_speed=single(self._body_speed),
             bodies=bodies,
@@ -317,16 +313,6 @@ class RecedingHorizonPlanner:
             detour=None if detour is None else single(detour.posture[:, None]),
         )
         return jax.device_put(problem)
-
-    def _weights_for(self, request: Request) -> dict[str, Number]:
-        """The weights of the settings, with those that a free orientation, the approach and a detour change."""
-        settings, memory = self._settings, self.memory
-        changed = {} if request.rotation is not None else {"orientation": 0.0}
-        if memory is not None and request.goal.is_near(memory.request.goal):
-            changed |= memory.approach.weights(settings)
-        if request.detour is not None:
-            changed |= request.detour.weights(settings)
-        return {name: single(weight) for name, weight in term_weights(settings, changed).items()}
 
     def _start(self, problem: Problem, request: Request) -> tuple[State, float]:
         """Start of the solver: the rest of the last plan, or standing still if that costs less."""
@@ -347,8 +333,8 @@ class RecedingHorizonPlanner:
         index = int(np.argmin(costs))
         best = points[:, index]
         if carried is None:
-            return self._solver.init(best, self._spread), float(costs[index])
-        return self._solver.shift(carried, best, self._spread, count, passed), float(costs[index])
+            return self._solver.init(best, self._space.spread), float(costs[index])
+        return self._solver.shift(carried, best, self._space.spread, count, passed), float(costs[index])
 
     def _costs(self, problem: Problem, points: np.ndarray) -> np.ndarray:
         """Costs (2,) of two points (N, 2)."""

@@ -13,7 +13,7 @@ are a goal's orientation and the null-space motion, which nothing else would res
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -170,8 +170,8 @@ def term(weight: str | float) -> Callable[[Value], Value]:
     return add
 
 
-def term_weights(settings: PlanningSettings, changed: Mapping[str, float] | None = None) -> dict[str, float]:
-    """Weight of each term that counts with these settings; `changed` has other weights, by the terms' names.
+def term_weights(settings: PlanningSettings) -> dict[str, float]:
+    """Weight of each term that counts with these settings.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def term_weights(settings: PlanningSettings, changed: Mapping[str, float] | None
         name: known[own.weight] if isinstance(own.weight, str) else own.weight
         for name, own in TERMS.items()
         if not isinstance(own.weight, str) or own.weight in known
-    } | dict(changed or {})
+    }
 
 
 def weighted_terms(context: Context) -> dict[str, jax.Array]:

@@ -30,6 +30,6 @@ def test_a_search_begins_with_their_step_size_at_the_last_mean():
 
 
 def test_nothing_but_their_cost_and_the_limits_of_the_arm_counts():
-    counted = {name for name, weight in term_weights(SETTINGS, {"detour": 0.0}).items() if weight}
+    counted = {name for name, weight in (term_weights(SETTINGS) | {"detour": 0.0}).items() if weight}
     assert counted == {"terminal", "contact_squared", "joint_limit", "joint_speed", "body_speed", "clearance"}
     assert SETTINGS.horizon * SETTINGS.knot_duration == 0.03
