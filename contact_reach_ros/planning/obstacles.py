@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import jax
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +45,7 @@ class ObstacleReader:
         self._capacity = capacity
         self._network: Network | None = None
         self._kept: NDArray[np.intp] = np.zeros(0, np.intp)
-        self._modes: Modes | None = None
+        self._modes: tuple[Array, Array, Array] | None = None
 
     def read(self, q: Array, spheres: Spheres) -> Obstacles | None:
         """Convert the spheres for the transfer model, with one lane; None for a model without obstacles.
@@ -72,7 +70,7 @@ class ObstacleReader:
             self._network, self._modes = Network(spheres), None
         if self._modes is None or not np.array_equal(kept, self._kept):
             self._kept, self._modes = kept, self._network.modes(kept, self._capacity)
-        missing = self._capacity - len(kept)
+        missing, (shapes, amplitudes, rates) = self._capacity - len(kept), map(single, self._modes)
         far_away = np.tile(_FAR_AWAY, (missing, 1))
 
         def points(values: Array) -> jax.Array:
@@ -82,18 +80,10 @@ class ObstacleReader:
             center=points(spheres.center),
             rest=points(spheres.rest),
             radius=single(np.concatenate([spheres.radius[kept], np.zeros(missing)])[:, None]),
-            shapes=single(self._modes.shapes),
-            amplitudes=single(self._modes.amplitudes),
-            rates=single(self._modes.rates),
+            shapes=shapes,
+            amplitudes=amplitudes,
+            rates=rates,
         )
-
-
-class Modes(NamedTuple):
-    """Shapes W (K, K) in which displacements decay, W⁻¹ (K, K), and the rates (K,) of the decay, 1/s."""
-
-    shapes: Array
-    amplitudes: Array
-    rates: Array
 
 
 class Network:
@@ -127,8 +117,11 @@ class Network:
             for name in ("stiffness", "damping", "edges", "edge_stiffness")
         )
 
-    def modes(self, kept: NDArray[np.intp], capacity: int) -> Modes:
-        """Modes of the network condensed to the spheres `kept`, filled up to `capacity` with unconnected spheres."""
+    def modes(self, kept: NDArray[np.intp], capacity: int) -> tuple[Array, Array, Array]:
+        """Modes of the network condensed to the spheres `kept`, filled up to `capacity` with unconnected spheres.
+
+        Shapes W (K, K) in which displacements decay, W⁻¹ (K, K), and the rates (K,) of the decay, 1/s.
+        """
         # Displacement of all spheres when the kept ones are displaced and forces act on those alone.
         stiffness = np.linalg.inv(self.compliance(kept, kept))
         moved = np.union1d(kept, self._joined)
@@ -141,7 +134,7 @@ class Network:
         shapes, amplitudes, count = np.eye(capacity), np.eye(capacity), len(kept)
         shapes[:count, :count] = unloaded.T @ vectors
         amplitudes[:count, :count] = shapes[:count, :count].T @ damping
-        return Modes(shapes=shapes, amplitudes=amplitudes, rates=np.concatenate([rates, np.ones(capacity - count)]))
+        return shapes, amplitudes, np.concatenate([rates, np.ones(capacity - count)])
 
 
 PLANES, BLOCKS = 2, 2

@@ -303,8 +303,13 @@ class Planner:
         self.obstacles.advance(stamp_ns)
         if self.goal is not None and gap > GOAL_TIMEOUT:
             self.withdraw(f"no joint state came for {gap:.1f} s, more than {GOAL_TIMEOUT:g} s; send the goal again")
-        self._follow_progress(state)
-        if self.goal is None or stamp_ns < self.due_ns:
+        progress, model = self._progress, self._model
+        if self.goal is None or progress is None:
+            return None
+        model.update(q, v)
+        here, speed = self._stream.at(stamp_ns, stamp_ns), float(np.linalg.norm(model.twist[:3]))
+        progress.update(here, model.position, model.rotation, speed, stamp_ns)
+        if stamp_ns < self.due_ns:
             return None
         self.due_ns = stamp_ns + self.settings.period_ns
         problem = self.obstacles.problem(stamp_ns)
@@ -313,10 +318,9 @@ class Planner:
                 raise InputError(problem)
             self._refuse("plans", InputError(problem))
             return None
-        effect_ns = stamp_ns + self._latency_ns
+        effect_ns = stamp_ns + max(self.settings.latency_ns, min(max(self._took_ns), _MAX_LATENCY_NS))
         goal = self._stream.at(effect_ns, stamp_ns)
-        is_free = goal.rotation is None and self._task != POSITION
-        rest = self._progress.rest if is_free and self._progress is not None else None
+        rest = progress.rest if goal.rotation is None and self._task != POSITION else None
         return Request(q, v, stamp_ns, effect_ns, goal, self.obstacles.spheres, self.speed_scale, rest=rest)
 
     def solve(self, request: Request) -> Plan:
@@ -356,21 +360,6 @@ class Planner:
         """Take the time from a plan's request to its publication, ns: later ones take effect no earlier than that."""
         self._took_ns.append(duration_ns)
         self._busy_ns = duration_ns
-
-    @property
-    def _latency_ns(self) -> int:
-        """Time from a state to the effect of its plan, ns."""
-        return max(self.settings.latency_ns, min(max(self._took_ns), _MAX_LATENCY_NS))
-
-    def _follow_progress(self, state: JointState) -> None:
-        if self._progress is None or self.goal is None:
-            return
-        model = self._model
-        model.update(state.q, state.v)
-        speed = float(np.linalg.norm(model.twist[:3]))
-        self._progress.update(
-            self._stream.at(state.stamp_ns, state.stamp_ns), model.position, model.rotation, speed, state.stamp_ns
-        )
 
     def resolve(self, goal: Task, state: JointState) -> Target:
         """The pose to plan for, without the part of the orientation that law (1) leaves to the null space.

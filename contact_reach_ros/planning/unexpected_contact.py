@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,20 +27,9 @@ _ZERO = 1e-12
 """Share of the greatest force that is a rounding error."""
 
 
-class Places(NamedTuple):
-    """Where known bodies may touch the arm.
-
-    Attributes
-    ----------
-    links
-        (P,) indices of the links, 0 for that of the first joint.
-    points, normals
-        (P, 3) on the axes of their capsules, m, and (P, 3) out of the bodies; base frame.
-    """
-
-    links: Array
-    points: Array
-    normals: Array
+Places = tuple[Array, Array, Array]
+"""Where known bodies may touch the arm: links (P,), 0 for that of the first joint, points (P, 3) on the axes of their
+capsules, m, and normals (P, 3) out of the bodies; base frame."""
 
 
 class Explanation:
@@ -59,12 +47,12 @@ class Explanation:
         self._locator = ContactLocator(RobotModel(arm), budget.contact_thresholds)
         self._most = budget.permitted_force + EXCESS_FORCE
 
-    def unexpected(self, contact: Contact | None, q: Array, spheres: Spheres) -> Contact | None:
+    def unexpected(self, contact: Contact, q: Array, spheres: Spheres) -> Contact | None:
         """What is left of a contact at joint angles `q` (n,), rad; None if the obstacles explain it, or it is weak."""
-        if contact is None or contact.strength < LEAST_FORCE:
+        if contact.strength < LEAST_FORCE:
             return None
         places = places_near(self._arm, q, spheres)
-        if len(places.links) == 0 or not np.isfinite(contact.torque).all():
+        if len(places[0]) == 0 or not np.isfinite(contact.torque).all():
             return contact
         left = self._unexplained(q, contact.torque, places)
         if (np.abs(left) <= self._thresholds).all():
@@ -78,14 +66,14 @@ class Explanation:
         At each place a force may act out of the body, within a friction cone, and all of them together with no more
         than is permitted.
         """
-        normals = places.normals
+        links, points, normals = places
         sides = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
         sides /= np.linalg.norm(sides, axis=1, keepdims=True)
         across = np.cross(normals, sides)
         slope = math.hypot(1.0, _FRICTION)
         tilted = [(normals + _FRICTION * side) / slope for side in (sides, -sides, across, -across)]
         edges = np.stack([normals, *tilted], axis=2)
-        rows = self._locator.rows(*self._locator.frames(q), places.points, places.links)
+        rows = self._locator.rows(*self._locator.frames(q), points, links)
         columns = (rows @ edges).transpose(1, 0, 2).reshape(len(q), -1)
         # One force more, which moves nothing, takes up what the others leave of the permitted force.
         columns = np.hstack([self._most * columns, np.zeros((len(q), 1))])
@@ -108,7 +96,7 @@ def places_near(arm: Arm, q: Array, spheres: Spheres) -> Places:
     near = (distances - radii - spheres.radius[:, None] <= NEAR) & (distances > 0.0)
     _, capsules = np.nonzero(near)
     links = np.array([capsule.link - 1 for capsule in arm.capsules])
-    return Places(links[capsules], points[near], normals[near] / distances[near, None])
+    return links[capsules], points[near], normals[near] / distances[near, None]
 
 
 def nonnegative_fit(matrix: Array, target: Array) -> Array:
