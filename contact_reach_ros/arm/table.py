@@ -178,8 +178,9 @@ def _wrong(arm: Arm) -> Iterator[str]:
     for capsule in (*arm.capsules, *arm.base_capsules):
         if not capsule.radius > 0.0:
             yield f"a capsule of link {capsule.link} has radius {capsule.radius:g} m; expected a number above 0"
-    if not arm.reach > 0.0:
-        yield f"reach = {arm.reach:g} m; expected a number above 0"
+    longest = sum(math.hypot(*offset) for offset in (*(joint.offset for joint in arm.joints), arm.tip_offset))
+    if not 0.0 < arm.reach <= longest:
+        yield f"reach = {arm.reach:g} m; expected a number above 0, and no more than the links' {longest:.3g} m"
 
 
 def _wrong_thresholds(arm: Arm, known: Mapping[str, object]) -> Iterator[str]:

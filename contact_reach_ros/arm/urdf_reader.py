@@ -186,13 +186,15 @@ class _Reader:
         arm = dataclasses.replace(arm, shoulder=assumptions.shoulder(arm))
         if options.reach is None:
             self.assumed.append("reach: 90 % of the greatest distance of the tip from the shoulder")
-        arm = dataclasses.replace(arm, reach=assumptions.reach(arm) if options.reach is None else options.reach)
+        arm = dataclasses.replace(arm, reach=assumptions.reach(arm))
         if options.home is None:
             self.assumed.append("home: a posture in front of the arm, far from singularities")
         home = assumptions.home(arm) if options.home is None else options.home
         if not options.thresholds:
             self.assumed.append("thresholds: by the joints' torque limits and inertias")
-        return completed(dataclasses.replace(arm, home=home, defaults=options.thresholds), str(self.file))
+        reach = arm.reach if options.reach is None else options.reach
+        arm = dataclasses.replace(arm, home=home, reach=reach, defaults=options.thresholds)
+        return completed(arm, str(self.file))
 
     def _check_names(self, key: str, given: Mapping[str, object], known: Mapping[str, object], what: str) -> None:
         for name in given:

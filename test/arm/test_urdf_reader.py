@@ -269,6 +269,7 @@ def test_what_is_no_arm_is_refused_with_name_and_key(changed, expected, tmp_path
         ({"armature": (0.1,)}, "armature has 1 values; expected 7"),
         ({"armature": -0.1}, "'joint_1' has armature -0.1; expected a number of at least 0"),
         ({"reach": 0.0}, "reach = 0 m; expected a number above 0"),
+        ({"reach": 100.0}, "reach = 100 m; expected a number above 0, and no more than the links' "),
         ({"limits": {"joint_1": {"lowr": -1.0}}}, "limits: joint_1: unknown key 'lowr'; did you mean 'lower'"),
         ({"limits": {"joint_1": {"lower": -170.0}}}, "'joint_1' has lower -170, .*; expected lower < upper, in rad"),
         ({"thresholds": {"torque_threshold": (1.0,) * 7}}, "'torque_threshold'; did you mean 'torque_thresholds'"),
