@@ -407,6 +407,8 @@ def check_values(values: Mapping[str, Any], known: Mapping[str, Setting], source
         elif owner := _owner(name, known):
             hint = f"set it for the {owner}: the other nodes read it there"
             raise SettingsError(f"{source}: unknown key '{name}'; {hint}")
+        elif name == "use_sim_time" and not isinstance(value, bool):
+            raise SettingsError(f"{source}: {name} = {value!r}; expected true or false")
         elif name not in _OF_ROS and not name.startswith("qos_overrides."):
             raise SettingsError(unknown_key(name, known, source))
     return checked

@@ -76,6 +76,7 @@ def test_what_is_wrong_is_named(written, nodes, message):
         ("observer: {ros__parameters: {momentum: {gain: !!int foo}}}", "not valid YAML: invalid literal"),
         ("observer: {ros__parameters: &a {momentum: *a}}", "not valid YAML: .*recursion"),
         ("[" * 3000, "not valid YAML"),
+        ("observer: {ros__parameters: {use_sim_time: maybe}}", "use_sim_time = 'maybe'; expected true or false"),
         ("a: &a {b: 1, c: 2}\n" + "".join(f"x{i}: &{n} {{p: *{o}, q: *{o}}}\n" for i, (o, n) in
          enumerate(zip("abcdefghijklmnopqrst", "bcdefghijklmnopqrstu", strict=True))), "more than 100,000 values"),
     ],

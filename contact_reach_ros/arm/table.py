@@ -31,6 +31,8 @@ _EXCESS = 1e-3
 """Share of the sum of two principal moments by which the third may exceed it, as numbers in tables are rounded."""
 _MOST = 1e9
 """Of any number, in units of the SI."""
+_SLACK = 1e-3
+"""Of the reach, as numbers in tables are rounded, m."""
 _POSTURE = "reference_posture"
 """The one of `assumptions.defaults` that has angles, of any sign."""
 _WEAK, _STRONG = 0.1, 100.0
@@ -178,8 +180,11 @@ def _wrong(arm: Arm) -> Iterator[str]:
     for capsule in (*arm.capsules, *arm.base_capsules):
         if not capsule.radius > 0.0:
             yield f"a capsule of link {capsule.link} has radius {capsule.radius:g} m; expected a number above 0"
-    longest = sum(math.hypot(*offset) for offset in (*(joint.offset for joint in arm.joints), arm.tip_offset))
-    if not 0.0 < arm.reach <= longest:
+    # From the point of the first axis that is nearest to the second joint.
+    levers = [joint.offset[:2] for joint in arm.joints[1:2]] + [joint.offset for joint in arm.joints[2:]]
+    longest = math.dist(arm.shoulder, assumptions.shoulder(arm))
+    longest += sum(math.hypot(*lever) for lever in (*levers, arm.tip_offset))
+    if not 0.0 < arm.reach <= longest + _SLACK:
         yield f"reach = {arm.reach:g} m; expected a number above 0, and no more than the links' {longest:.3g} m"
 
 

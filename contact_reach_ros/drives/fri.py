@@ -282,11 +282,13 @@ class FriStates:
 
     def describe(self, description: str, has_commanded: bool) -> None:
         """Take the driver's `robot_description`; see `read_driver`."""
-        self.driver, self._q = None, None
+        before, self.driver = self.driver, None
         try:
             self.driver, self._undescribed = read_driver(description, has_commanded), ""
         except InputError as error:
             self._undescribed = str(error)
+        if self.driver is None or self.driver != before:
+            self._q = None
 
     def read(self, message: Any, now_ns: int) -> JointState | None:
         """The joint state in an LBRState, which arrived at `now_ns` of this machine's clock; None for one that repeats.

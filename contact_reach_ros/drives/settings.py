@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from contact_reach_ros.control.settings import LimitSettings, SupervisionSettings
@@ -50,6 +51,12 @@ class AdapterSettings(Settings):
         return LimitSettings(torque_rate=FRANKA_TORQUE_RATE) if self.kind == FRANKA else LimitSettings()
 
 
+def _check_name(where: str, name: str) -> None:
+    """Refuse what ROS would not take as the beginning of a topic's name."""
+    if not re.fullmatch(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", name, re.ASCII):
+        raise SettingsError(f"{where} = {name!r}: expected letters, digits and _, such as left/effort_controller")
+
+
 @dataclass(frozen=True)
 class EffortSettings(Settings):
     """The effort controller of ros2_control."""
@@ -65,6 +72,10 @@ class EffortSettings(Settings):
         "the drive closes its brakes when the controller is deactivated; otherwise an arm that does not carry itself "
         "would drop, and is not deactivated",
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_name("effort.controller", self.controller)
 
 
 @dataclass(frozen=True)
@@ -92,6 +103,10 @@ class LbrSettings(Settings):
         "to go on with harmless torques instead",
     )
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_name("lbr.driver", self.driver)
+
 
 @dataclass(frozen=True)
 class FrankaSettings(Settings):
@@ -103,6 +118,10 @@ class FrankaSettings(Settings):
         "set these reflexes in the arm before anything is passed on, which needs franka_msgs; false if they are set "
         "already",
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_name("franka.controller", self.controller)
 
     @property
     def effort(self) -> EffortSettings:

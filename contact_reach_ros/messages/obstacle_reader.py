@@ -102,7 +102,8 @@ class ObstacleMarkerReader:
     def read(self, data: bytes) -> Spheres:
         """The spheres of a MarkerArray: in the order of their ids, and of each body the nodes that can move first.
 
-        Springs hold spheres and nodes where the namespace 'rest' has them, or else where they were seen first.
+        Springs hold spheres and nodes where the namespace 'rest' has them, or else where they were seen first,
+        for as long as each message has them.
 
         Raises
         ------
@@ -134,14 +135,15 @@ class ObstacleMarkerReader:
                 environment.append(_rigid_body(marker))
             else:
                 bodies.setdefault(body, {})[kind] = _checked(marker, kind)
-        rests = self._rests | {number: body[REST].points for number, body in bodies.items() if REST in body}
+        rests = {name: rest for name, rest in self._rests.items() if name in bodies}
+        rests |= {name: body[REST].points for name, body in bodies.items() if REST in body}
         parts, count = [_NO_SPHERES], 0
         for name, parts_of_it in sorted(bodies.items()):
             parts.append(self._spheres(name, parts_of_it, rests, count))
             count += len(parts[-1]["center"])
-        self._rests = rests
         columns = {name: np.concatenate([part[name] for part in parts]) for name in _NO_SPHERES}
         spheres = Spheres(**columns, environment=tuple(environment))
+        self._rests = rests
         self.stamp_ns = min((marker.stamp_ns for marker in markers if marker.stamp_ns), default=None)
         return spheres
 
@@ -152,6 +154,9 @@ class ObstacleMarkerReader:
         number = name[0]
         movable, fixed = (body[kind].points if kind in body else np.zeros((0, 3)) for kind in (OBSTACLES, FIXED))
         rest = rests.setdefault(name, movable)
+        if len(rest) != len(movable) and REST not in body:
+            # Another body with the same name.
+            rest = rests[name] = movable
         if len(rest) != len(movable):
             raise InputError(
                 f"obstacles: marker {REST}/{number} has {len(rest)} points; expected {len(movable)}, one for each "

@@ -18,7 +18,7 @@ STOP_CODE = "stop code"
 """Key of the code of what stopped the arm, see `StopCode`."""
 
 STOPS_CALLED = "stops called"
-"""Key of how often a controller's `~/stop` was called: also a stop of an arm that is stopped already is news."""
+"""Key of how often a node's `~/stop` was called: also a stop of an arm that is stopped already is news."""
 
 OK, WARN, ERROR = 0, 1, 2
 """Levels of a diagnostic_msgs/msg/DiagnosticStatus."""
@@ -72,6 +72,11 @@ def read_level(message: Any) -> int:
 def is_stopped(message: Any) -> bool:
     """Whether a safety state of any node reports a stop."""
     return read_level(message) >= ERROR
+
+
+def is_requested(message: Any) -> bool:
+    """Whether the stop in a safety state was called for."""
+    return any((item.key, item.value) == (STOP_CODE, StopCode.REQUEST.value) for item in message.values)
 
 
 def stops_called(message: Any) -> str:

@@ -20,6 +20,7 @@ from contact_reach_ros.drives.settings import ADAPTER_SECTIONS, FRANKA, LBR, Ada
 from contact_reach_ros.errors import InputError, StopCode, StopReason, requested
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_stop_state
+from contact_reach_ros.messages.safety_state import STOPS_CALLED
 from contact_reach_ros.messages.serialized import JointStateReader, joint_state_writer, read_command
 from contact_reach_ros.messages.values import read_settings
 from contact_reach_ros.observer.budget import load_budget
@@ -52,7 +53,7 @@ class AdapterNode(StoppableNode):
         self._target = self._make_target(self.settings[""])
         self._write = self.make_writer(self._target.topic)
         self._safety = self.make_publisher(topics.SAFETY_STATE)
-        self._published: tuple[Phase, str] | None = None
+        self._published: tuple[Phase, str, int] | None = None
         if isinstance(self._target, LbrTarget):
             self._write_state = self.make_writer(topics.JOINT_STATES)
             self._state_writer = joint_state_writer(
@@ -224,11 +225,12 @@ class AdapterNode(StoppableNode):
 
     def _publish_safety(self) -> None:
         """Publish the state if it has changed."""
-        phase, reason = self._guard.phase, self._guard.stop_reason
-        if (phase, reason) == self._published:
+        phase, reason, calls = self._guard.phase, self._guard.stop_reason, self.stops_called
+        if (phase, reason, calls) == self._published:
             return
-        self._published = (phase, reason)
-        self._safety.publish(to_stop_state(self.NAME, self.arm, reason, phase.value, {"state": phase.value}))
+        self._published = (phase, reason, calls)
+        values = {"state": phase.value, STOPS_CALLED: str(calls)}
+        self._safety.publish(to_stop_state(self.NAME, self.arm, reason, phase.value, values))
         if reason:
             self.say(f"no command is passed on: {reason}; call ~/reset to continue")
 
@@ -238,7 +240,11 @@ class AdapterNode(StoppableNode):
             own, name = self.settings[""].gravity_compensation, f"supervision.{_GRAVITY}"
             controllers = values.get(name, own)
             differs = f"{_GRAVITY} = {own}, and {name} = {controllers} in the controller" if controllers != own else ""
-        self._disagreements[message.name] = differs or self._target.hear(message.name, values)
+        try:
+            self._disagreements[message.name] = differs or self._target.hear(message.name, values)
+        except (TypeError, ValueError) as error:
+            # Those of another arm, or another version.
+            self._disagreements[message.name] = f"the settings of {message.name} cannot be compared: {error}"
 
     def look_around(self) -> None:
         """Look for rivals, and ask the drive for what is not known yet."""

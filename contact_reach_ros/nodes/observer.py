@@ -6,10 +6,12 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
+from diagnostic_msgs.msg import KeyValue
+
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_safety_state
 from contact_reach_ros.messages.intake import Taken
-from contact_reach_ros.messages.safety_state import MONITORING, findings
+from contact_reach_ros.messages.safety_state import MONITORING, STOPS_CALLED, findings
 from contact_reach_ros.messages.serialized import JointStateReader, joint_state_writer, wrench_writer
 from contact_reach_ros.observer.budget import BUDGET, load_budget
 from contact_reach_ros.observer.observer import Observer, SafetyReport
@@ -105,7 +107,9 @@ class ObserverNode(StoppableNode):
                 # Bags must not end between a stop and what led to it.
                 self._intake.flush()
                 self.say(f"stop: {why}; call ~/reset to continue")
-            self._safety.publish(to_safety_state(report, self.NAME, self.arm))
+            state = to_safety_state(report, self.NAME, self.arm)
+            state.values.append(KeyValue(key=STOPS_CALLED, value=str(self.stops_called)))
+            self._safety.publish(state)
         if self._observer.updates % _WRENCH_EVERY == 0:
             self._write_wrench(
                 self._wrench_writer.write(self._observer.momentum.flange_wrench(), stamp_ns=report.stamp_ns)

@@ -164,6 +164,6 @@ class Sight:
 
 def _explain_gaps(unseen_ns: float) -> str:
     return (
-        f"no two joint states of the last {1000 * unseen_ns / NANOSECONDS:.0f} ms are near enough, by their stamps, for "
-        "the external torque: look at the driver, its clock and the network"
+        f"no two joint states of the last {1000 * unseen_ns / NANOSECONDS:.0f} ms are near enough, by their stamps, "
+        "for the external torque: look at the driver, its clock and the network"
     )

@@ -26,7 +26,7 @@ from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose, to_time
 from contact_reach_ros.messages.goal_state import describe, read_goal_state
-from contact_reach_ros.messages.safety_state import is_stopped, stops_called
+from contact_reach_ros.messages.safety_state import is_requested, is_stopped, stops_called
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
@@ -203,6 +203,8 @@ class StackClient(Client):
         self._stopped_ns: dict[str, int] = {}
         """When nodes stopped that had been known before, or their stop was called again, ns since the epoch."""
         self._stops_called: dict[str, str] = {}
+        self._requested: set[str] = set()
+        """Nodes that were stopped because somebody called their stop."""
         self.settings: dict[str, dict[str, Any]] = {}
         self.goal_state: GoalState | None = None
         self._goal_ns = 0
@@ -292,23 +294,26 @@ class StackClient(Client):
         """Reset all nodes if one is stopped, and look again, until none is stopped or the time, s, is over.
 
         Stops that came after the release was asked for, at `asked_ns` (ns since the epoch, by default now), stay:
-        whoever asked did not know of them. But a drive closes its brakes after the stop that is to be released.
+        whoever asked did not know of them. But a drive closes its brakes on its own after the stop that is to be
+        released.
 
         Until the arm is at rest a reset is refused; and a drive closes its brakes on its own soon after the stop of the
         controller, perhaps just when that is being released. A controller that stops again has found why: once the
         brakes are open, the hand-over shows what pushes the arm.
         """
-        give_up, asked_ns = time.monotonic() + timeout, time.time_ns() if asked_ns is None else asked_ns
-        outcome, was_released = Outcome(True, NOTHING), False
+        asked_ns = time.time_ns() if asked_ns is None else asked_ns
+        outcome, was_released, give_up = Outcome(True, NOTHING), False, 0.0
         while True:
             self.hear_stops()
             if not self.stops:
                 return outcome
             since = {name for name in self.stops if self._stopped_ns.get(name, 0) > asked_ns}
-            if since & {CONTROLLER, OBSERVER} or since == self.stops.keys():
+            if since & {CONTROLLER, OBSERVER, *self._requested} or since == self.stops.keys():
                 return Outcome(False, f"not reset, stopped meanwhile: {self.why_stopped}; look why, and reset again")
             if was_released and CONTROLLER in self.stops:
                 return Outcome(False, f"reset, and stopped again: {self.why_stopped}")
+            # To hear who is stopped may take as long.
+            give_up = give_up or time.monotonic() + timeout
             if time.monotonic() > give_up:
                 return Outcome(False, f"still stopped: {self.why_stopped}") if was_released else outcome
             outcome = self.release(self.safety)
@@ -414,6 +419,7 @@ class StackClient(Client):
             self.stops.pop(message.name, None)
             return
         self.stops[message.name] = message.message
+        (self._requested.add if is_requested(message) else self._requested.discard)(message.name)
         if was_free or is_called_again:
             self._stopped_ns[message.name] = self.inbox.sent_ns
 

@@ -251,7 +251,7 @@ def _read_list(entries: Any, where: str) -> tuple[ObstacleSettings, ...]:
         for number, entry in enumerate(entries):
             with problems.noted():
                 kind = entry.get(KIND_KEY) if isinstance(entry, dict) else None
-                if kind not in KINDS:
+                if not isinstance(kind, str) or kind not in KINDS:
                     raise SettingsError(f"{where}[{number}]: {KIND_KEY} = {kind!r}; expected one of {', '.join(KINDS)}")
                 values = {key: value for key, value in entry.items() if key != KIND_KEY}
                 found.append(KINDS[kind].from_mapping(values, f"{where}[{number}]"))

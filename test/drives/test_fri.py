@@ -211,9 +211,16 @@ def test_after_a_pause_of_the_states_or_with_another_driver_the_stiffness_is_mea
     robot.states.read(fri_message(10_000), 0)
     assert "has not been measured yet" in robot.states.problem
     robot = asked_for(behind_adapter(LATER), 1.3)
-    robot.states.describe(described(CONFIGS[LATER]), True)
+    robot.states.describe(described(CONFIGS[LATER] | {"measured_torque_tau": 0.02}), True)
     robot.states.read(fri_message(10_001), 0)
     assert "has not been measured yet" in robot.states.problem
+
+
+def test_the_same_description_again_changes_nothing():
+    robot = asked_for(behind_adapter(LATER), 1.3)
+    before = robot.states.problem
+    robot.states.describe(robot.robot.description, True)
+    assert robot.states.problem == before and not robot.states.expect_commands() and robot.states.has_states
 
 
 def test_a_new_session_is_checked_again():

@@ -12,6 +12,8 @@ from std_msgs.msg import Float64MultiArray
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
+from contact_reach_ros.drives.franka import FrankaTarget
+from contact_reach_ros.drives.settings import FrankaSettings
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_status
@@ -112,6 +114,19 @@ def test_a_controller_that_counts_on_another_gravity_is_refused(bench):
         bench.command()
         assert len(bench.sent) == count
     assert "gravity_compensation = False in the controller" in bench.node.boundary.last_refusals()[-1]
+
+
+@simple
+def test_settings_that_cannot_be_compared_are_refused_and_stop_nothing(bench, monkeypatch):
+    """As the thresholds of another arm."""
+    franka = FrankaTarget(bench.node, bench.node.arm, FrankaSettings(set_reflexes=False))
+    monkeypatch.setattr(bench.node._target, "hear", franka.hear)
+    bench.state()
+    settings = to_status("observer", "", {"budget.torque_thresholds": "[1.0, 2.0]"})
+    hand_in(bench.node.inbox, topics.SETTINGS, serialize_message(settings))
+    bench.command()
+    assert not bench.sent and not bench.node.stop_reason
+    assert "the settings of observer cannot be compared: " in bench.node.boundary.last_refusals()[-1]
 
 
 @simple

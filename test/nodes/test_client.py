@@ -19,7 +19,7 @@ from stack_helpers import hand_in, ros
 from contact_reach_ros.bringup import commands, stack_processes
 from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackProcesses
-from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.errors import ContactReachError, InputError, requested
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_status, to_stop_state, to_time
 from contact_reach_ros.messages.goal_state import to_goal_state
@@ -130,10 +130,18 @@ def test_whoever_takes_commands_is_waited_for(client, monkeypatch):
     assert client.stops == {"driver": "silence"}
 
 
-@pytest.mark.parametrize(("name", "stays"), [("controller", True), ("observer", True), ("driver", False)])
-def test_a_stop_that_comes_while_another_is_being_released_stays(name, stays, client, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "why", "stays"),
+    [
+        ("controller", "too fast", True),
+        ("observer", "too much torque", True),
+        ("adapter", requested("stop service called"), True),
+        ("driver", "no command for 101 ms", False),
+    ],
+)
+def test_a_stop_that_comes_while_another_is_being_released_stays(name, why, stays, client, monkeypatch):
     """But a drive closes its brakes after the stop of the controller."""
-    other, asked = "controller" if name == "observer" else "observer", []
+    other, asked = "observer" if name == "controller" else "controller", []
 
     def tell(node, reason):
         client.inbox.sent_ns = time.time_ns()
@@ -147,12 +155,12 @@ def test_a_stop_that_comes_while_another_is_being_released_stays(name, stays, cl
 
     tell(name, "")
     tell(other, "an old one")
-    monkeypatch.setattr(client, "hear_stops", lambda: None if asked else tell(name, "stop service called"))
+    monkeypatch.setattr(client, "hear_stops", lambda: None if asked else tell(name, why))
     monkeypatch.setattr(client, "release", release)
     outcome = client.release_all()
     assert outcome.done != stays and bool(asked) != stays
     if stays:
-        assert outcome.text.startswith("not reset, stopped meanwhile: ") and "stop service called" in outcome.text
+        assert outcome.text.startswith("not reset, stopped meanwhile: ") and why in outcome.text
 
 
 def test_a_stop_that_is_called_again_while_the_first_is_being_released_stays(client, monkeypatch):

@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pytest
 from arm_simulation import ARM, HOME
-from geometry_msgs.msg import Quaternion, Vector3
+from geometry_msgs.msg import Point, Quaternion, Vector3
 from hostile import garbage
 from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA
@@ -94,6 +94,24 @@ def test_places_where_spheres_were_first_seen_are_their_rest():
         spheres = reader.read(serialize_message(message))
     told = new_reader().read(serialize_message(obstacle_markers(scene(), displaced(), STAMP_NS)))
     np.testing.assert_array_equal(spheres.rest, told.rest)
+
+
+def test_the_rest_of_a_body_that_is_gone_or_has_other_nodes_is_forgotten():
+    reader, seen = new_reader(), []
+    for count, x in ((2, 0.5), (3, 0.6), (0, 0.0), (3, 0.7)):
+        points, held = [Point(x=x, y=0.1 * number) for number in range(count)], Point(x=x, y=-0.1)
+        lines = [end for point in points for end in (point, held)]
+        size = Vector3(x=0.02, y=0.02, z=0.02)
+        markers = [
+            Marker(ns="obstacles", type=Marker.SPHERE_LIST, scale=size, points=points),
+            Marker(ns="fixed", type=Marker.SPHERE_LIST, scale=size, points=[held]),
+            Marker(ns="edges", type=Marker.LINE_LIST, points=lines),
+        ]
+        for one in markers:
+            one.header.frame_id = ARM.base_frame
+        spheres = reader.read(serialize_message(MarkerArray(markers=markers if count else [])))
+        seen.append([round(float(each), 3) for each in spheres.rest[:count, 0]])
+    assert seen == [[0.5] * 2, [0.6] * 3, [], [0.7] * 3]
 
 
 def change(path, value, namespace="obstacles", identifier=2):

@@ -1,6 +1,7 @@
 """Who stops and releases the arm when some nodes do not answer, or refuse."""
 
 import itertools
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -13,7 +14,7 @@ class Stack(StackClient):
     """Nodes that answer, refuse or are missing; the rest is missing. `looks`: who is stopped, look by look."""
 
     def __init__(self, looks=(), **answers):
-        self.looks, self._stopped_ns = iter(looks), {}
+        self.looks, self._stopped_ns, self._requested = iter(looks), {}, set()
         self.answers = answers
         self.called = []
 
@@ -68,6 +69,13 @@ def test_an_arm_that_stops_again_is_not_reset_again_and_again():
     outcome = stack.release_all()
     assert outcome == (False, "reset, and stopped again: controller: stopped")
     assert stack.called == ["observer/reset", "controller/reset"]
+
+
+def test_however_long_it_takes_to_hear_who_is_stopped_a_release_is_tried(monkeypatch):
+    """As without an observer, which is waited for."""
+    stack, hear = Stack(itertools.repeat({"controller"}), controller=False), Stack.hear_stops
+    monkeypatch.setattr(Stack, "hear_stops", lambda self: time.sleep(0.02) or hear(self))
+    assert stack.release_all(0.01) == (False, "NOT reset, refused by controller: not now")
 
 
 def test_a_refused_release_is_tried_again_until_the_time_is_over():

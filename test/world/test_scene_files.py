@@ -48,6 +48,7 @@ REFUSED = [
     ("ball: {radius: 0.9}", r"ball: radius = 0\.9"),
     ("target: {minimum: [0.3, 0, 0], maximum: [0.2, 1, 1]}", "target: minimum"),
     ("obstacles: [{kind: cube}]", r"obstacles\[0\]: kind = 'cube'"),
+    ("obstacles: [{kind: [ball]}]", r"obstacles\[0\]: kind = \['ball'\]; expected one of"),
     ("obstacles: [{kind: ball, size: 1}]", r"obstacles\[0\]: unknown key 'size'"),
     ("environment: {table: {sise: [1, 1, 1]}}", "environment: table: unknown key 'sise'"),
     ("environment: {floor: {normal: [0, 0, 0]}}", "environment: floor: normal"),
