@@ -102,6 +102,8 @@ def arm_of_table(content: Mapping[str, Any], source: str) -> Arm:
     Raises `SettingsError` if a key is unknown or missing, or a value of the wrong type, or there is not one of
     something for each joint; the message begins with `source`.
     """
+    if not isinstance(content, Mapping):
+        raise SettingsError(f"{source}: holds {content!r}; expected a mapping")
     content = dict(content)
     if "base_capsule" in content:
         # Of before there were several, read until version 0.4.

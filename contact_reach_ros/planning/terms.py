@@ -195,9 +195,15 @@ def weighted_terms(context: Context) -> dict[str, jax.Array]:
     """The terms (B,) that add up to the cost, for each weight of the problem."""
     parts = {}
     weights = context.problem.weights
+    _, knots, candidates = context.position[:, 1:].shape
     # Sums are rounded in the order of the terms, which the weights lose inside of JAX.
     for name in (name for name in TERMS if name in weights):
         part = weights[name] * TERMS[name].value(context)
+        if part.shape not in ((knots, candidates), (candidates,)):
+            raise SettingsError(
+                f"cost term '{name}' returns an array {part.shape}; expected ({knots}, {candidates}), a value for each "
+                f"knot and candidate, or ({candidates},)"
+            )
         parts[name] = sum_over(part, 0) if part.ndim == 2 else part
     return parts
 

@@ -33,22 +33,20 @@ def run_reexecution(bag: Path, plan: int | None = None, other: Path | None = Non
     if plan is not None:
         report["plan"], differs = _reexecute_plan(inputs, plan)
     else:
-        differs, compared, missing = False, 0, []
+        differs, missing = False, []
         for node in ("controller", "observer"):
             try:
                 found = reexecute(node, inputs, other)
             except BagError as error:
                 missing.append(error)
                 continue
-            differs |= found.first_difference is not None
-            compared += found.compared
+            differs |= found.first_difference is not None or (other is None and not found.compared)
             _print(found, inputs, other)
             report[node] = _as_json(found, inputs)
         if len(missing) == 2:
             raise missing[0]
         for lacking in missing:
             print(f"note: {lacking}")
-        differs |= not compared
     if file is not None:
         write_json(file, report)
     return DIFFERENT if differs else IDENTICAL

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -154,7 +155,8 @@ class RecordedPlans:
 
     def _differences(self, plan: Plan, cost: float, effect_ns: int) -> dict[str, float]:
         """Differences of the plan with the recorded solution, by the names of `TOLERANCES`."""
-        found = {"cost": abs(plan.cost - cost) / max(abs(cost), _LEAST_COST)}
+        found = dict.fromkeys(TOLERANCES, math.nan)
+        found["cost"] = abs(plan.cost - cost) / max(abs(cost), _LEAST_COST)
         for message in self._inputs.bag.messages("/reference/pose"):
             if nanoseconds(message.header.stamp) == effect_ns:
                 positions, rotations = read_poses(message)

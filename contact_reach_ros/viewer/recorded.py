@@ -79,6 +79,11 @@ class Recording:
             raise BagError(f"{self.path}: holds no joint states of the arm; record joint_states")
         self.ticks, self._q = position.time[good], position.values[good]
         self.duration = float(self.ticks[-1])
+        if self.duration < 0.0:
+            raise BagError(
+                f"{self.path}: the first joint state has a later stamp than all others, as by another clock: record "
+                "without it; contact-reach report reads the bag"
+            )
         force = signals.contact_force
         self._link_forces = np.stack([force.column(link) for link in self.arm.contact_links], axis=1)
         self._received_ns = {topic: self._reception_times(topic) for topic in (_PICTURES, _OBSTACLES)}

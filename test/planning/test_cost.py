@@ -209,6 +209,13 @@ class TestTerms:
         with pytest.raises(SettingsError, match="heigth_weight: expected a cost term with this weight"):
             term_weights(Mistyped())
 
+    @pytest.mark.parametrize("value", [lambda context: context.q[:, 0], lambda context: context.q.sum()])
+    def test_one_of_another_shape_is_refused(self, value, objective, monkeypatch):
+        monkeypatch.setitem(TERMS, "goal", Term(value, "goal_weight"))
+        problem = make_problem(HOME, FLANGE, ball(FAR_BALL))
+        with pytest.raises(SettingsError, match=r"'goal' returns an array \(.*\); expected \(3, 60\), a value"):
+            jax.eval_shape(lambda: objective.cost(problem, STILL))
+
     def test_one_more_counts_where_the_settings_have_its_weight(self, roll_out, objective, monkeypatch):
         @dataclasses.dataclass(frozen=True)
         class Raised(PlanningSettings):

@@ -95,6 +95,9 @@ def test_a_derivative_is_traced_once_and_has_the_rule_of_its_function(tmp_path, 
     np.testing.assert_array_equal(slope(1.0), plain)
     assert traced == [1.0] * 5
     np.testing.assert_array_equal(slope(2.0), 2.0 * plain)
+    # The numbers of an array that the rule has, too.
+    for share in (1.0, 10.0):
+        slope(np.full((len(CANDIDATES), 1), share, np.float32))
 
 
 @pytest.fixture(scope="module")

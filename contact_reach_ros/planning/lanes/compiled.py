@@ -43,18 +43,18 @@ def by_lanes(function: Function, backend: str, source: Function | None = None) -
     backend
         As the setting `planning.backend`.
     source
-        What the function differentiates, with the first of what it is given, and is compiled too. It returns as much:
-        if its derivative is in the cache, the function is not traced at all.
+        What the function differentiates, with the first of what it is given. It returns as much, and is traced in a
+        quarter of the time: if its derivative is in the cache, the function is not traced at all.
     """
 
     @functools.cache
     def program(tree: Any, shapes: tuple[tuple[int, ...], ...], size: int) -> tuple[str, Any] | None:
         given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes])
         candidate = jax.ShapeDtypeStruct((size, 1), jnp.float32)
-        jaxpr, results, digest = _traced(source or function, given[0] if source else given, candidate)
+        trace = lambda: _traced(function, given, candidate)  # noqa: E731
+        jaxpr, results = _traced(source, given[0], candidate) if source else trace()
         try:
-            own = (lambda: _traced(function, given, candidate)[0]) if source else (lambda: jaxpr)
-            return _target(digest, source is not None, own), results
+            return _target(jaxpr, (lambda: trace()[0]) if source else None), results
         except UnknownOperationError as error:
             _warn_once(str(error))
             return None
@@ -78,20 +78,12 @@ def by_lanes(function: Function, backend: str, source: Function | None = None) -
     return call
 
 
-def _traced(function: Function, given: Any, candidate: Any) -> tuple[Any, Any, str]:
-    """The closed jaxpr of a function, the shapes of its results, and a hash of all that it computes."""
-    leaves, tree = jax.tree.flatten(given)
-    return _traced_once(function, tree, tuple(leaves), candidate)
+def _traced(function: Function, given: Any, candidate: Any) -> tuple[Any, Any]:
+    """The closed jaxpr of a function, and the shapes of its results.
 
-
-@functools.lru_cache(maxsize=1)
-def _traced_once(function: Function, tree: Any, leaves: tuple[Any, ...], candidate: Any) -> tuple[Any, Any, str]:
-    # JAX keeps it as long as the object that it traced, which is a passing one here.
-    make = jax.make_jaxpr(functools.partial(function), return_shape=True)
-    jaxpr, results = make(jax.tree.unflatten(tree, leaves), candidate)
-    key = hashlib.sha256()
-    _digest(jaxpr, key)
-    return jaxpr, results, key.hexdigest()
+    JAX keeps it as long as the object that it traced, which is a passing one here.
+    """
+    return jax.make_jaxpr(functools.partial(function), return_shape=True)(given, candidate)
 
 
 @functools.cache
@@ -104,15 +96,15 @@ _engines: dict[str, llvm.ExecutionEngine] = {}
 """Hold the code that XLA may call until the process ends, by its name."""
 
 
-def _target(digest: str, is_derived: bool, jaxpr: Callable[[], Any]) -> str:
-    """The name under which XLA finds a compiled closed jaxpr, whose last argument is one candidate.
-
-    The digest is of this jaxpr, or of the one that it is derived from.
-    """
-    versions = f"{_compiler()} {llvmlite.__version__} {jax.__version__} {_cpu()} {is_derived} {digest}"
-    name = f"contact_reach_{hashlib.sha256(versions.encode()).hexdigest()[:32]}"
+def _target(jaxpr: Any, derivative: Callable[[], Any] | None) -> str:
+    """The name under which XLA finds a compiled closed jaxpr, or its derivative; its last argument is one candidate."""
+    versions = f"{_compiler()} {llvmlite.__version__} {jax.__version__} {_cpu()} {derivative is not None}"
+    key = hashlib.sha256(versions.encode())
+    _digest(jaxpr, key)
+    name = f"contact_reach_{key.hexdigest()[:32]}"
     if name not in _engines:
-        code = kept((name,), lambda: _machine().emit_object(llvm.parse_assembly(_module(jaxpr()))))
+        own = derivative or (lambda: jaxpr)
+        code = kept((name,), lambda: _machine().emit_object(llvm.parse_assembly(_module(own()))))
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
@@ -152,7 +144,9 @@ def _digest(closed: Any, key: Any) -> None:
     for equation in jaxpr.eqns:
         add(equation.primitive.name, [name(each) for each in (*equation.invars, *equation.outvars)])
         if equation.primitive.name == "custom_jvp_call":
-            add(str(_rule(equation)))
+            rule = _rule(equation)
+            # The text has no values of constants.
+            add(str(rule), [np.asarray(each).tolist() for each in rule.consts])
         for option, value in equation.params.items():
             if hasattr(value, "jaxpr"):
                 _digest(value, key)
