@@ -6,7 +6,6 @@ import argparse
 import errno
 import io
 import os
-import re
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -244,8 +243,10 @@ def _add_namespace(command: argparse.ArgumentParser) -> None:
 
 
 def _namespace(text: str) -> str:
-    if not re.fullmatch(r"/?|/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", text, re.ASCII):
-        raise argparse.ArgumentTypeError(f"'{text}': expected letters, digits and _, such as left, or robots/left")
+    from contact_reach_ros.settings import NAME_RULE, ROS_NAME
+
+    if text not in ("", "/") and not ROS_NAME.fullmatch(text):
+        raise argparse.ArgumentTypeError(f"'{text}': expected a name {NAME_RULE}")
     return text
 
 

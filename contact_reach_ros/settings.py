@@ -26,6 +26,11 @@ Scalar = bool | int | float | str
 Value = Scalar | tuple[Scalar, ...] | None
 _DECLARATION = "declaration"
 
+ROS_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+"""A namespace, or what else topics and services of ROS may begin with."""
+NAME_RULE = "of letters, digits and _, such as left, or robots/left"
+"""What `ROS_NAME` takes, in words."""
+
 
 class ArmDefaults(Protocol):
     """What settings need from an arm."""
@@ -57,6 +62,8 @@ class Setting:
     """Length of a list of numbers that may be missing, which a default of None declares."""
     per_joint: bool = False
     """Whether it is a list with one number per joint of the arm; a default of None stands for the arm's own."""
+    is_name: bool = False
+    """Whether it is the beginning of names in ROS."""
     changeable: bool = False
     """Whether it may be set while the node runs."""
 
@@ -84,6 +91,8 @@ class Setting:
         words = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}[self.kind]
         if self.choices:
             words = "one of " + ", ".join(self.choices)
+        if self.is_name:
+            words = f"a name {NAME_RULE}"
         if self.is_open_list:
             words = "a list of strings"
         elif self.per_joint and self.length is None:
@@ -130,6 +139,8 @@ class Setting:
             fits = fits and (self.maximum is None or value <= self.maximum)
         if fits and self.choices:
             fits = value in self.choices
+        if fits and self.is_name:
+            fits = bool(ROS_NAME.fullmatch(value))
         if not fits:
             raise SettingsError(f"{where} = {value!r}: expected {self.accepts}")
         return kind(value)

@@ -40,8 +40,8 @@ def test_it_says_in_one_line_that_there_is_no_room_for_its_output() -> None:
     ("arguments", "message"),
     [
         (["report", ""], "argument BAG: expected a path, not an empty text"),
-        (["up", "--namespace", "1a"], "argument --namespace: '1a': expected letters, digits and _"),
-        (["goto", "1", "2", "3", "--namespace", "ä" * 40], "expected letters, digits and _"),
+        (["up", "--namespace", "1a"], "argument --namespace: '1a': expected a name of letters, digits and _"),
+        (["goto", "1", "2", "3", "--namespace", "ä" * 40], "expected a name of letters, digits and _"),
     ],
 )
 def test_what_is_no_path_or_namespace_is_refused(arguments, message, capsys):

@@ -5,10 +5,9 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from contact_reach_ros.arm.arm import Arm, Array, Inertia, Vector3
+from contact_reach_ros.arm.arm import Arm, Array, Vector3
 from contact_reach_ros.arm.rotations import rotation_from_quaternion
 from contact_reach_ros.errors import SettingsError
 
@@ -125,14 +124,6 @@ def tensor_values(matrix: Array) -> tuple[float, float, float, float, float, flo
     """An inertia (3, 3) as (xx, yy, zz, xy, xz, yz)."""
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix.tolist()
     return xx, yy, zz, xy, xz, yz
-
-
-def spatial_inertia(inertia: Inertia) -> pin.Inertia:
-    """An inertia for Pinocchio, whose constructor refuses what no body has."""
-    made = pin.Inertia.Zero()
-    made.mass, made.lever = inertia.mass, np.array(inertia.center, float)
-    made.inertia = np.asfortranarray(tensor_matrix(inertia.tensor))
-    return made
 
 
 def vector(values: ArrayLike) -> Vector3:

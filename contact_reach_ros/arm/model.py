@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from contact_reach_ros.arm.arm import Arm, Array
+from contact_reach_ros.arm.arm import Arm, Array, Inertia
+from contact_reach_ros.arm.kinematics import tensor_matrix
 from contact_reach_ros.arm.mjcf import build_mjcf
 
 _WORLD_ALIGNED = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -97,3 +98,11 @@ class RobotModel:
         pin.forwardKinematics(self.pinocchio, data, q)
         pose = pin.updateFramePlacement(self.pinocchio, data, self.tip)
         return pose.translation, pose.rotation
+
+
+def spatial_inertia(inertia: Inertia) -> pin.Inertia:
+    """An inertia for Pinocchio, whose constructor refuses what no body has."""
+    made = pin.Inertia.Zero()
+    made.mass, made.lever = inertia.mass, np.array(inertia.center, float)
+    made.inertia = np.asfortranarray(tensor_matrix(inertia.tensor))
+    return made

@@ -11,7 +11,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm.arm import Arm, Capsule, Inertia
-from contact_reach_ros.arm.kinematics import spatial_inertia, tensor_matrix, tensor_values
+from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
+from contact_reach_ros.arm.model import spatial_inertia
 from contact_reach_ros.arm.rotations import quaternion_from_rotation, rotation_from_quaternion
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Settings, setting

@@ -17,9 +17,9 @@ import pinocchio as pin
 from contact_reach_ros.arm import assumptions, plausibility
 from contact_reach_ros.arm.arm import Arm, Array, Inertia, Joint
 from contact_reach_ros.arm.capsule_fit import Fit
-from contact_reach_ros.arm.kinematics import spatial_inertia, tensor_values, vector
+from contact_reach_ros.arm.kinematics import tensor_values, vector
 from contact_reach_ros.arm.link_capsules import Part, link_capsules
-from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.arm.model import RobotModel, spatial_inertia
 from contact_reach_ros.arm.mount import gravity_of, in_words
 from contact_reach_ros.arm.robot_file import DESCRIPTIONS, find_mesh, read_robot_file
 from contact_reach_ros.arm.rotations import frame_about, quaternion_from_rotation

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 from contact_reach_ros.control.settings import LimitSettings, SupervisionSettings
@@ -51,17 +50,13 @@ class AdapterSettings(Settings):
         return LimitSettings(torque_rate=FRANKA_TORQUE_RATE) if self.kind == FRANKA else LimitSettings()
 
 
-def _check_name(where: str, name: str) -> None:
-    """Refuse what ROS would not take as the beginning of a topic's name."""
-    if not re.fullmatch(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", name, re.ASCII):
-        raise SettingsError(f"{where} = {name!r}: expected letters, digits and _, such as left/effort_controller")
-
-
 @dataclass(frozen=True)
 class EffortSettings(Settings):
     """The effort controller of ros2_control."""
 
-    controller: str = setting("effort_controller", "name of the controller; it takes torques on <name>/commands")
+    controller: str = setting(
+        "effort_controller", "name of the controller; it takes torques on <name>/commands", is_name=True
+    )
     ask_joints: bool = setting(
         True,
         "read the order of joints from the controller's parameter joints before anything is passed on; false for a "
@@ -73,17 +68,15 @@ class EffortSettings(Settings):
         "would drop, and is not deactivated",
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_name("effort.controller", self.controller)
-
 
 @dataclass(frozen=True)
 class LbrSettings(Settings):
     """KUKA's LBR arms with lbr_fri_ros2_stack, in torque command mode."""
 
     driver: str = setting(
-        "lbr", "namespace of the driver: <driver>/state, <driver>/command/torque, <driver>/controller_manager"
+        "lbr",
+        "namespace of the driver: <driver>/state, <driver>/command/torque, <driver>/controller_manager",
+        is_name=True,
     )
     velocity_cutoff: float = setting(
         30.0,
@@ -103,25 +96,19 @@ class LbrSettings(Settings):
         "to go on with harmless torques instead",
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_name("lbr.driver", self.driver)
-
 
 @dataclass(frozen=True)
 class FrankaSettings(Settings):
     """An effort controller of ros2_control on franka_ros2, and the reflexes of the arm below it."""
 
-    controller: str = setting("effort_controller", "name of the controller; it takes torques on <name>/commands")
+    controller: str = setting(
+        "effort_controller", "name of the controller; it takes torques on <name>/commands", is_name=True
+    )
     set_reflexes: bool = setting(
         True,
         "set these reflexes in the arm before anything is passed on, which needs franka_msgs; false if they are set "
         "already",
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_name("franka.controller", self.controller)
 
     @property
     def effort(self) -> EffortSettings:

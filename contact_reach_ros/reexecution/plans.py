@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_poses, read_postures
-from contact_reach_ros.messages.plan_request import read_memory, read_request
+from contact_reach_ros.messages.plan_request import Parts, read_memory, read_request
 from contact_reach_ros.messages.values import nanoseconds, split_array
 from contact_reach_ros.observer.budget import BUDGET
 from contact_reach_ros.planning.plan import Plan
@@ -96,15 +96,8 @@ class RecordedPlans:
     def __init__(self, inputs: RecordedInputs) -> None:
         self._inputs = inputs
         self._path = inputs.bag.path
-        self._made: dict[int, tuple[dict[str, str], int]] = {}
-        """Statistics and time of effect, ns, by number."""
-        for message in inputs.bag.messages("/plan/statistics"):
-            for status in message.status:
-                values = {entry.key: entry.value for entry in status.values}
-                self._made[int(values.get("plan", "0"))] = values, nanoseconds(message.header.stamp)
-        requests = map(split_array, inputs.bag.messages("/plan/request"))
-        self._requests = {int(parts["plan"][0]): parts for parts in requests if "plan" in parts}
-        self.numbers = sorted(self._made.keys() & self._requests.keys())
+        made = {number for number, *_ in self._statistics()}
+        self.numbers = sorted(made.intersection(number for number, _ in self._requests()))
         if not self.numbers:
             raise BagError(
                 f"bag '{self._path}': no plan can be solved again, expected plan/request beside plan/statistics: "
@@ -128,7 +121,8 @@ class RecordedPlans:
                 f"bag '{self._path}' lacks plan {number}; expected one of its {len(known)} plans from {known[0]} to "
                 f"{known[-1]}"
             )
-        (statistics, effect_ns), parts = self._made[number], self._requests[number]
+        *_, (_, statistics, effect_ns) = (each for each in self._statistics() if each[0] == number)
+        *_, parts = (parts for known, parts in self._requests() if known == number)
         request = read_request(parts, int(statistics["state ns"]), effect_ns)
         request = request._replace(spheres=self._obstacles(number, int(statistics["obstacles sent ns"])))
         knot_duration_s, ramp_s = self._settings["planning"].knot_duration, self._settings["impedance"].reference_ramp
@@ -136,6 +130,19 @@ class RecordedPlans:
         self._solution.best = parts["found"]
         plan = self._planner.plan(request)
         return ReexecutedPlan(plan, statistics, self._differences(plan, float(statistics["cost"]), effect_ns))
+
+    def _statistics(self) -> Iterator[tuple[int, dict[str, str], int]]:
+        """Number, statistics and time of effect, ns, of each plan."""
+        for message in self._inputs.bag.messages("/plan/statistics"):
+            for status in message.status:
+                values = {entry.key: entry.value for entry in status.values}
+                yield int(values.get("plan", "0")), values, nanoseconds(message.header.stamp)
+
+    def _requests(self) -> Iterator[tuple[int, Parts]]:
+        """Number of each plan, and what it was made from."""
+        for parts in map(split_array, self._inputs.bag.messages("/plan/request")):
+            if "plan" in parts:
+                yield int(parts["plan"][0]), parts
 
     def _obstacles(self, number: int, sent_ns: int) -> Spheres:
         """The obstacles that the planner knew; `sent_ns` is 0 for none."""

@@ -10,7 +10,7 @@ from contact_reach_ros.errors import SettingsError
 @pytest.mark.parametrize("made", [EffortSettings, FrankaSettings, LbrSettings])
 def test_names_that_ros_would_not_take_are_refused(made, name):
     key = "driver" if made is LbrSettings else "controller"
-    with pytest.raises(SettingsError, match=rf"{key} = '{name}': expected letters, digits and _"):
+    with pytest.raises(SettingsError, match=rf"{key} = '{name}': expected a name of letters, digits and _"):
         made(**{key: name})
 
 
