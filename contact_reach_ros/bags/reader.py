@@ -17,7 +17,7 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from contact_reach_ros.bags.mcap_file import McapFile, Messages, in_order
 from contact_reach_ros.bags.message_types import decode
-from contact_reach_ros.bags.topics import CDR, MCAP_KEY, MCAP_NAME, RecordedTopic
+from contact_reach_ros.bags.topics import CDR, MCAP_KEY, MCAP_NAME, TYPES, RecordedTopic
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.timing import NANOSECONDS
 
@@ -45,7 +45,8 @@ class BagReader:
     path :
         The bag.
     of_stack :
-        Whether topics go without the namespace of the stack that was recorded.
+        Whether topics go without the namespace of the stack that was recorded, and those of its names that are not of
+        its types get other ones.
 
     Attributes
     ----------
@@ -74,6 +75,7 @@ class BagReader:
         self._files = self._open(paths)
         if of_stack:
             self._leave_namespace()
+            self._set_aside_foreign()
         self.topics = self._read_topics()
         spans = [file.span_ns for file in self._files if file.span_ns is not None]
         self.start_ns = min((start for start, _ in spans), default=0)
@@ -172,6 +174,16 @@ class BagReader:
         for known in channels:
             for number, channel in known.items():
                 known[number] = dataclasses.replace(channel, topic=named.get(channel.topic, channel.topic))
+
+    def _set_aside_foreign(self) -> None:
+        """Add its type to the name of each topic that has a stack's name, but not the type."""
+        for file in self._files:
+            for number, channel in file.channels.items():
+                name, schema = channel.topic, file.schemas.get(channel.schema_id)
+                kind, expected = schema.name if schema else "no type", TYPES.get(name.removeprefix("/"))
+                if expected not in (None, kind):
+                    self._notes.append(f"topic '{name}': is {kind}, expected {expected}; it is left out")
+                    file.channels[number] = dataclasses.replace(channel, topic=f"{name} ({kind})")
 
     def _read_topics(self) -> Mapping[str, RecordedTopic]:
         topics: dict[str, RecordedTopic] = {}

@@ -36,16 +36,8 @@ COMMANDS = ("adapter/commands", "effort_controller/commands")
 
 _ONLOOKERS = ("recorder", "viewer")
 """Nodes that may have been started apart from the stack, with another arm."""
-_SPARSE = {
-    "goal/state": "diagnostic_msgs/msg/DiagnosticStatus",
-    "goal_pose": "geometry_msgs/msg/PoseStamped",
-    "safety_state": "diagnostic_msgs/msg/DiagnosticStatus",
-    "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
-    "plan/statistics": "diagnostic_msgs/msg/DiagnosticArray",
-    SETTINGS: "diagnostic_msgs/msg/DiagnosticStatus",
-    "intake/controller": "std_msgs/msg/Int64MultiArray",
-}
-"""Types of the topics with few messages."""
+_SPARSE = ("goal/state", "goal_pose", "safety_state", "diagnostics", "plan/statistics", SETTINGS, "intake/controller")
+"""Topics with few messages."""
 _LONG = 300_000
 """Messages of a topic, five minutes of a 1 kHz arm, from which on it is thinned for a report."""
 _STRIDES, _STRIDE = {"joint_states": 10, "sim/contacts": 10}, 50
@@ -219,8 +211,7 @@ class EpisodeSignals:
 
 def settings_of_bag(bag: BagReader) -> dict[str, Mapping[str, Any]]:
     """The last settings of each node."""
-    statuses = () if SETTINGS in _of_other_types(bag) else bag.messages(f"/{SETTINGS}")
-    return {status.name: read_settings(status) for status in statuses}
+    return {status.name: read_settings(status) for status in bag.messages(f"/{SETTINGS}")}
 
 
 def arm_of_bag(bag: BagReader) -> Arm:
@@ -279,7 +270,6 @@ def read_signals(
             column.watches.append(watch[name])
     sparse: dict[str, list[tuple[int, Any]]] = {name: [] for name in _SPARSE}
     plans: list[_Plan] = []
-    other = _of_other_types(bag)
     unread: Counter[str] = Counter()
     take: dict[str, Callable[[RawMessage], Any]] = {
         "diagnostics": lambda raw: list(_missed_ticks(raw.data)) or None,
@@ -304,7 +294,7 @@ def read_signals(
                 sparse[name].append((raw.log_time_ns, taken))
 
     handlers: dict[str, Callable[[Messages], None]] = {f"/{name}": column for name, column in columns.items()}
-    handlers |= {f"/{name}": partial(few, name) for name in sparse if name not in other}
+    handlers |= {f"/{name}": partial(few, name) for name in sparse}
     for _ in reading(bag, handlers):
         pass
     state, command, torque, contact = (column.column() for column in columns.values())
@@ -353,7 +343,6 @@ def read_signals(
         answers_ns,
         {status.name: read_settings(status) for _, status in sparse[SETTINGS]},
         (
-            *(f"{name}: is {kind}, expected {_SPARSE[name]}; it is left out" for name, kind in other.items()),
             *(f"{name}: {count} messages cannot be read and are left out" for name, count in unread.items()),
             *_oddities(dict(zip(columns, (state, command, torque, contact), strict=True))),
         ),
@@ -387,12 +376,6 @@ def goal_distance(signals: EpisodeSignals, arm: Arm, period: float = 0.01) -> Se
     in_force = np.maximum(np.searchsorted(signals.goals.time, time[rows], side="right") - 1, 0)
     away = tip_positions(arm, positions[rows]) - signals.goals.values[in_force]
     return Series(time[rows], ("distance",), np.linalg.norm(away, axis=1, keepdims=True))
-
-
-def _of_other_types(bag: BagReader) -> dict[str, str]:
-    """Types of the topics that have one of our names, but not its type."""
-    types = {name: bag.topics[f"/{name}"].type for name in _SPARSE if f"/{name}" in bag.topics}
-    return {name: kind for name, kind in types.items() if kind != _SPARSE[name]}
 
 
 def _is_repeated(data: bytes, last: dict[bytes, tuple[int, bytes]]) -> bool:
@@ -494,8 +477,17 @@ def _oddities(columns: Mapping[str, Column]) -> Iterator[str]:
         if column.back:
             yield f"{name}: {column.back} stamps are older than the one before; curves follow the stamps"
     states = columns["joint_states"]
-    if len(states) and np.isnan(states.values[:, : len(states.names) // 3]).all():
-        yield f"joint_states: has none of the joints {', '.join(dict.fromkeys(states.names))}: is it another robot's?"
+    joints = states.names[: len(states.names) // 3]
+    for name in columns.keys() - {"sim/contacts"}:
+        is_unknown = np.isnan(columns[name].values[:, : len(joints)])
+        lack_all = is_unknown.all(axis=1)
+        if name == "joint_states" and len(lack_all) and lack_all.all():
+            yield f"joint_states: has none of the joints {', '.join(joints)}: is it another robot's?"
+            continue
+        # Grippers have joint states of their own on the same topic.
+        lacking = int((is_unknown.any(axis=1) & ~(lack_all & (name == "joint_states"))).sum())
+        if lacking:
+            yield f"{name}: at least {lacking} messages lack a number for one of the arm's {len(joints)} joints"
 
 
 def _goals(

@@ -20,6 +20,7 @@ from contact_reach_ros.errors import InputError, requested
 from contact_reach_ros.messages.intake import TOPICS, Taken
 from contact_reach_ros.messages.plan_reader import PlanReader
 from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
+from contact_reach_ros.messages.values import nanoseconds
 from contact_reach_ros.observer.budget import BUDGET
 from contact_reach_ros.observer.observer import Observer
 from contact_reach_ros.observer.settings import ObserverSettings
@@ -38,6 +39,7 @@ TOLERANCE = 1e-9
 """N m: differences up to this count as none."""
 
 _LONG_AGO_NS = 10 * NANOSECONDS
+_NEVER_NS = np.iinfo(np.int64).max
 
 
 class Difference(NamedTuple):
@@ -103,6 +105,8 @@ class Loop:
             self.settings = changed_sections(node, inputs.settings[node], inputs.arm, other)
         self.intake = inputs.intake(node)
         self.in_step = not self.intake.starts_late
+        self.uncertain_until_ns = 0
+        """Stamp from which on nothing that was lost is in force any more, ns."""
         self.missing = self.uncompared = self.compared = self.outputs = self.last_stamp_ns = 0
         self.largest_difference = float("nan")
         self.first_difference: Difference | None = None
@@ -136,7 +140,7 @@ class Loop:
             return
         # Not `>`: what is not a number differs, too.
         is_equal = bool((difference <= TOLERANCE).all())
-        self.in_step = self.in_step or is_equal
+        self.in_step = self.in_step or (is_equal and stamp_ns >= self.uncertain_until_ns)
         if not self.in_step:
             self.uncompared += 1
             return
@@ -176,7 +180,7 @@ class Loop:
     def _other_reasons(self) -> Difference | None:
         """The difference if the node stopped the arm for other reasons than the recorded ones."""
         recorded = self.recorded_reasons
-        is_whole = self.in_step and not self.intake.starts_late and not self.intake.lost
+        is_whole = self.compared and self.in_step and not self.intake.starts_late and not self.intake.lost
         # Whether a stop after the last joint state was published, the bag does not tell.
         if self.is_changed or not is_whole or recorded in (self.reasons, [*self.reasons, self.unpublished]):
             return None
@@ -256,13 +260,18 @@ class _ControllerLoop(Loop):
             self.controller.in_force = read_in_force(message, self.controller.in_force)
 
     def _follow(self, row: Row) -> None:
-        message = self.inputs.message(TOPICS[row.what], row.sent_ns)
+        message, queue = self.inputs.message(TOPICS[row.what], row.sent_ns), self.controller.follower.queue
         if message is None:
             self.lose()
-        elif row.what is Taken.REFERENCE_POSE:
+            self.uncertain_until_ns = _NEVER_NS  # the plan that is lost may take effect at any time
+            return
+        accepted = queue.accepted
+        if row.what is Taken.REFERENCE_POSE:
             self.plans.take_poses(message)
         else:
             self.plans.take_postures(message)
+        if self.uncertain_until_ns == _NEVER_NS and queue.accepted > accepted:
+            self.uncertain_until_ns = nanoseconds(message.header.stamp)
 
 
 class _ObserverLoop(Loop):

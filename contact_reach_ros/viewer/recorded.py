@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Callable, Iterator, Sequence
 from operator import itemgetter
 from pathlib import Path
@@ -73,9 +74,9 @@ class Recording:
         # States with unknown joints, and repeated states, are not moments to look at.
         middle = np.median(position.time) if len(position.time) else 0.0
         near = np.abs(position.time - middle) < _LONGEST
-        good = near & np.isfinite(position.values).all(axis=1)
-        good[1:] &= position.time[1:] > np.maximum.accumulate(np.where(near, position.time, -np.inf))[:-1]
-        if not good.any():
+        good = np.flatnonzero(near & np.isfinite(position.values).all(axis=1))
+        good = good[_increasing(position.time[good])]
+        if not len(good):
             raise BagError(f"{self.path}: holds no joint states of the arm; record joint_states")
         self.ticks, self._q = position.time[good], position.values[good]
         self.duration = float(self.ticks[-1])
@@ -154,6 +155,25 @@ class Recording:
         """The plan in a message; None if it cannot be decoded."""
         message = self._reader.decode(raw)
         return None if message is None else read_plan(message)
+
+
+def _increasing(times: Array) -> Array:
+    """Places of as many of the times (n,) as possible, in order, of which each is later than the one before."""
+    if (np.diff(times) > 0.0).all():
+        return np.arange(len(times))
+    # By the length of a sequence, the earliest time that ends one, and its place; each place knows the one before it.
+    ends: list[float] = []
+    places: list[int] = []
+    before = np.full(len(times), -1)
+    for place, time in enumerate(times.tolist()):
+        length = bisect.bisect_left(ends, time)
+        before[place] = places[length - 1] if length else -1
+        ends[length : length + 1], places[length : length + 1] = [time], [place]
+    last, found = places[-1], []
+    while last >= 0:
+        found.append(last)
+        last = before[last]
+    return np.array(found[::-1])
 
 
 def _row(times: Array, time: float) -> int:

@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 import zstandard
 from conftest import START_NS, STEP_NS, SampleBag
+from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -34,10 +35,20 @@ def test_it_reads_what_was_written(shared_sample: SampleBag, single_file: bool) 
 
 
 def write_stacks(path: Path, *names: str) -> Path:
-    recorded = [RecordedTopic(name, "std_msgs/msg/String") for name in names]
+    """A bag with one message in each topic, which has the topic's name in a field."""
+    made = {
+        name: JointState(name=[name])
+        if name.endswith("/joint_states")
+        else DiagnosticStatus(name=name)
+        if name.endswith("/state") or name.endswith("_state")
+        else String(data=name)
+        for name in names
+    }
+    kinds = {JointState: "sensor_msgs/msg/JointState", DiagnosticStatus: "diagnostic_msgs/msg/DiagnosticStatus"}
+    recorded = [RecordedTopic(name, kinds.get(type(message), "std_msgs/msg/String")) for name, message in made.items()]
     with BagWriter(path, recorded) as writer:
-        for name in names:
-            writer.write(name, serialize_message(String(data=name)), START_NS)
+        for name, message in made.items():
+            writer.write(name, serialize_message(message), START_NS)
     return path
 
 
@@ -49,14 +60,22 @@ def test_topics_of_a_stack_go_without_its_namespace(tmp_path: Path) -> None:
     reader = BagReader(bag, of_stack=True)
     assert set(reader.topics) == {"/joint_states", "/safety_state", "/goal/state", *others}
     (read,) = reader.messages("/goal/state")
-    assert read.data == "/a/left/goal/state"
+    assert read.name == "/a/left/goal/state"
 
 
 def test_those_of_others_that_have_no_namespace_stay_apart(tmp_path: Path) -> None:
     bag = write_stacks(tmp_path / "bag", "/joint_states", "/left/joint_states", "/left/safety_state")
     reader = BagReader(bag, of_stack=True)
     assert set(reader.topics) == {"/joint_states", "/safety_state", "/joint_states (outside /left)"}
-    assert [read.data for read in reader.messages("/joint_states")] == ["/left/joint_states"]
+    assert [read.name for read in reader.messages("/joint_states")] == [["/left/joint_states"]]
+
+
+def test_topics_of_other_types_have_their_type_in_their_name(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", [RecordedTopic("/safety_state", "std_msgs/msg/String")]) as writer:
+        writer.write("/safety_state", serialize_message(String(data="ok")), START_NS)
+    reader = BagReader(tmp_path / "bag", of_stack=True)
+    assert set(reader.topics) == {"/safety_state (std_msgs/msg/String)"}
+    assert "'/safety_state': is std_msgs/msg/String, expected diagnostic_msgs/msg/DiagnosticStatus" in reader.notes[0]
 
 
 def test_of_several_stacks_none_is_chosen(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from contact_reach_ros.reexecution import inputs
 from contact_reach_ros.reexecution.inputs import COMMANDS, RecordedInputs
 from contact_reach_ros.reexecution.loops import reexecute
 from contact_reach_ros.resources import share_directory
+from contact_reach_ros.viewer.recorded import Recording
 
 SAMPLE = share_directory() / "bags" / "sample"
 
@@ -73,6 +74,36 @@ def test_after_lost_messages_it_finds_into_step_again(tmp_path: Path) -> None:
         # The controller's laws reach full authority within 500 states again.
         assert found.compared > 2000
         assert any(note.startswith("50 messages that the") for note in found.notes)
+
+
+@pytest.mark.parametrize("topic", ["/reference/pose", "/reference/posture"])
+def test_after_a_lost_reference_it_waits_for_the_next_plan(tmp_path: Path, topic: str) -> None:
+    """The lost plan takes effect later than the message would have come."""
+    reader, references = BagReader(SAMPLE), 0
+    with BagWriter(tmp_path / "bag", [RecordedTopic(name, topic.type) for name, topic in reader.topics.items()]) as bag:
+        for raw in reader.raw_messages():
+            references += raw.topic == topic
+            if raw.topic != topic or references != 8:
+                bag.write(raw.topic, raw.data, raw.log_time_ns, raw.publish_time_ns, raw.sequence)
+    found = reexecute("controller", RecordedInputs(BagReader(tmp_path / "bag")))
+    assert found.missing == 1
+    assert found.first_difference is None and found.compared > 1000 and found.uncompared > 0
+
+
+def test_topics_of_other_types_are_left_out(tmp_path: Path) -> None:
+    reader, text = BagReader(SAMPLE), "std_msgs/msg/String"
+    content = b"\x00\x01\x00\x00\x06\x00\x00\x00hello\x00"
+    for topic in ("/safety_state", "/reference/pose", "/intake/observer"):
+        directory = tmp_path / topic.replace("/", "_")
+        types = {name: text if name == topic else known.type for name, known in reader.topics.items()}
+        with BagWriter(directory, [RecordedTopic(name, kind) for name, kind in types.items()]) as bag:
+            for raw in reader.raw_messages():
+                data = content if raw.topic == topic else raw.data
+                bag.write(raw.topic, data, raw.log_time_ns, raw.publish_time_ns, raw.sequence)
+        read = BagReader(directory, of_stack=True)
+        assert f"topic '{topic}': is {text}, expected" in read.notes[0]
+        assert reexecute("controller", RecordedInputs(read)).first_difference is None
+        assert Recording(directory).duration > 1.0
 
 
 def test_other_settings_have_other_results(sample: RecordedInputs, tmp_path: Path) -> None:

@@ -109,6 +109,18 @@ def test_playing_stepping_and_jumping(recording):
     assert player.playing and player.time == 0.0
 
 
+@pytest.mark.parametrize("off", [5.0, -5.0, 3600.0])
+def test_a_state_with_a_wrong_stamp_is_left_out_alone(off):
+    times = np.arange(100.0)
+    times[40] += off + 0.5
+    assert recorded._increasing(times).tolist() == [place for place in range(100) if place != 40]
+
+
+def test_repeated_states_are_no_moments():
+    times = np.repeat(np.arange(50.0), 2)
+    assert np.diff(times[recorded._increasing(times)]).tolist() == 49 * [1.0]
+
+
 def test_a_bag_without_joint_states_is_refused(tmp_path):
     writer = BagWriter(tmp_path / "bag", [RecordedTopic("/goal_pose", "geometry_msgs/msg/PoseStamped")])
     writer.write("/goal_pose", serialize_message(PoseStamped()), 1)
