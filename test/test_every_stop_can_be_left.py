@@ -283,6 +283,8 @@ def check(rig: Rig, way: list[str]) -> None:
     """Once the cause is gone, a reset leads back to the arm that is held."""
     why = rig.resets()
     assert not why, (way, why)
+    # After the cause of a doubt a controller that was started again waits for a second or two.
+    rig.run(2.0)
     assert rig.controller.mode is Mode.HOLDING and rig.robot.is_open, (way, rig.situation)
 
 

@@ -480,13 +480,12 @@ def _oddities(columns: Mapping[str, Column]) -> Iterator[str]:
     joints = states.names[: len(states.names) // 3]
     for name in columns.keys() - {"sim/contacts"}:
         is_unknown = np.isnan(columns[name].values[:, : len(joints)])
-        lack_all = is_unknown.all(axis=1)
-        if name == "joint_states" and len(lack_all) and lack_all.all():
-            yield f"joint_states: has none of the joints {', '.join(joints)}: is it another robot's?"
-            continue
         # Grippers have joint states of their own on the same topic.
-        lacking = int((is_unknown.any(axis=1) & ~(lack_all & (name == "joint_states"))).sum())
-        if lacking:
+        foreign = int(is_unknown.all(axis=1).sum()) if name == "joint_states" else 0
+        lacking = int(is_unknown.any(axis=1).sum()) - foreign
+        if foreign and foreign == len(is_unknown):
+            yield f"joint_states: has none of the joints {', '.join(joints)}: is it another robot's?"
+        elif lacking:
             yield f"{name}: at least {lacking} messages lack a number for one of the arm's {len(joints)} joints"
 
 

@@ -10,7 +10,6 @@ from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.kernels import REPULSION_MARGIN, Constant
 from contact_reach_ros.control.settings import (
-    BODY_STIFFNESS,
     IMPACT_ENERGY,
     JOINT_SHARE,
     SINGULARITY_FLOOR,
@@ -68,7 +67,6 @@ def make_constants(
         Constant.BODY_SPEED: limits.body_speed,
         Constant.JOINT_SPEED: JOINT_SHARE * speeds,
         Constant.IMPACT_ENERGY: IMPACT_ENERGY,
-        Constant.BODY_STIFFNESS: BODY_STIFFNESS,
         Constant.TORQUE_DELAY: limits.torque_delay,
     }
     return np.array([np.broadcast_to(values[row], arm.n) for row in Constant])

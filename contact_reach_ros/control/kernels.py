@@ -48,8 +48,7 @@ class Constant(IntEnum):
     BODY_SPEED = 15
     JOINT_SPEED = 16
     IMPACT_ENERGY = 17
-    BODY_STIFFNESS = 18
-    TORQUE_DELAY = 19
+    TORQUE_DELAY = 18
 
 
 _POSITION_ROWS, _AXIS_ROWS = 3, 5
@@ -70,6 +69,12 @@ FADE_SHARE = 0.5
 """Share of the speed that its cap may take within the delay of the torques: with the damping of the laws, more than
 2 is unstable."""
 
+_HEAVIEST = 1500.0
+"""Mass, kg, that counts for a point at most: heavier ones are so near a joint's axis that they have hardly any way, and
+would hold the whole arm. One of 100 kg may press by 7 % harder for it."""
+_PRESSING_SWEEPS, _WHOLE_STEPS = 6, 2
+"""Of `pressing_share`, which finds 1 % too little force then, in one case of a hundred 5 %; and of them so many are
+whole steps, where half ones take longer to come near, but do not go back and forth."""
 _YIELD_SWEEPS = 8
 """Times that `yielded` goes through the joints."""
 
@@ -285,23 +290,6 @@ def solve_bounded(matrix: Array, vectors: Array, floor: float) -> Array:
 
 
 @_compiled()
-def push_share(driving: Array, braking: Array, most: float) -> float:
-    """Greatest share s, 0 to 1, with which |s F + D| ≤ `most`, for two forces (3,), N.
-
-    Where the damping D alone exceeds it, the share that comes nearest.
-    """
-    square, product, rest = 0.0, 0.0, -most * most
-    for row in range(3):
-        square += driving[row] * driving[row]
-        product += driving[row] * braking[row]
-        rest += braking[row] * braking[row]
-    if square == 0.0 or square + 2.0 * product + rest <= 0.0:
-        return 1.0
-    root = np.sqrt(max(product * product - square * rest, 0.0))
-    return min(max((root - product) / square, 0.0), 1.0)
-
-
-@_compiled()
 def joint_frames(placements: Array, q: Array) -> tuple[Array, Array]:
     """Rotations (n, 3, 3) and origins (n, 3), m, of the joints' frames, from the placements of `constants.Body`."""
     n = len(q)
@@ -346,12 +334,38 @@ def point_jacobian(rotations: Array, origins: Array, link: int, point: Array) ->
 
 
 @_compiled()
-def moving_mass(rows: Array, direction: Array, mass_factor: Array) -> float:
-    """Mass, kg, that moves with a point in a direction (3,) of length 1: 1 / (nᵀ J_p M⁻¹ J_pᵀ n)."""
-    solution, mobility = solve_lower(mass_factor, times(rows, direction)), 1e-9
-    for i in range(len(solution)):
-        mobility += solution[i] * solution[i]
-    return 1.0 / mobility
+def mobility_of(rows: Array, mass_factor: Array) -> Array:
+    """W = J_p M⁻¹ J_pᵀ (3, 3), 1/kg, of a point; a little more, so that it has an inverse."""
+    n = len(rows)
+    solved, column, mobility = np.empty((3, n)), np.empty(n), np.empty((3, 3))
+    for row in range(3):
+        for i in range(n):
+            column[i] = rows[i, row]
+        fill(solved[row], solve_lower(mass_factor, column))
+        for k in range(row + 1):
+            total = 0.0
+            for i in range(n):
+                total += solved[row, i] * solved[k, i]
+            mobility[row, k] = mobility[k, row] = total
+        mobility[row, row] += 1e-9
+    return mobility
+
+
+@_compiled()
+def inverse_of(matrix: Array) -> Array:
+    """Inverse of a symmetric matrix (3, 3), by its cofactors."""
+    inverse, determinant = np.empty((3, 3)), 0.0
+    for row in range(3):
+        i, j = (row + 1) % 3, (row + 2) % 3
+        for column in range(3):
+            k, m = (column + 1) % 3, (column + 2) % 3
+            inverse[row, column] = matrix[i, k] * matrix[j, m] - matrix[i, m] * matrix[j, k]
+    for k in range(3):
+        determinant += matrix[0, k] * inverse[0, k]
+    for row in range(3):
+        for column in range(3):
+            inverse[row, column] /= determinant
+    return inverse
 
 
 @_compiled()
@@ -364,6 +378,66 @@ def dot(first: Array, second: Array) -> float:
 def norm(vector: Array) -> float:
     """Length of a vector (3,)."""
     return np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+
+
+@_compiled()
+def unit(vector: Array) -> Array:
+    """The vector (3,) at length 1."""
+    scaled, length = np.empty(3), norm(vector)
+    for row in range(3):
+        scaled[row] = vector[row] / length
+    return scaled
+
+
+@_compiled()
+def pressing_share(push: Array, drag: Array, mobility: Array, most: float) -> float:
+    """Greatest share s, 0 to 1, of a push with which a smooth body feels at most `most`, however its surface is turned.
+
+    A surface with normal n that stops a point, accelerated by a = s push + drag, feels nᵀa / nᵀWn. That is greatest
+    where W n is along a / nᵀa + n, which is iterated beside s, from between W⁻¹ a and the normal along which the point
+    is heaviest.
+
+    Parameters
+    ----------
+    push, drag
+        Accelerations (3,) of the point by driving and by damping, m/s².
+    mobility
+        W (3, 3), 1/kg.
+    most
+        N.
+    """
+    inverse, share = inverse_of(mobility), 1.0
+    heavy, total, normal = np.ones(3), np.empty(3), np.empty(3)
+    for row in range(3):
+        total[row] = push[row] + drag[row]
+    bound = inverse[0, 0] + inverse[1, 1] + inverse[2, 2]
+    if dot(total, times(inverse, total)) * bound < most * most:
+        return 1.0
+    for _ in range(3):
+        fill(heavy, unit(times(inverse, heavy)))
+    side = 0.5 if dot(heavy, total) >= 0.0 else -0.5
+    along = unit(times(inverse, total))
+    for row in range(3):
+        normal[row] = along[row] + side * heavy[row]
+    fill(normal, unit(normal))
+    for sweep in range(_PRESSING_SWEEPS):
+        ahead = 0.0
+        for row in range(3):
+            total[row] = share * push[row] + drag[row]
+            ahead += normal[row] * total[row]
+        if ahead < 1e-9:
+            return share
+        for row in range(3):
+            total[row] = total[row] / ahead + normal[row]
+        fill(along, unit(times(inverse, total)))
+        for row in range(3):
+            normal[row] = along[row] + (normal[row] if sweep >= _WHOLE_STEPS else 0.0)
+        fill(normal, unit(normal))
+        pushed, moved = dot(normal, push), dot(normal, times(mobility, normal))
+        if pushed < 1e-9:
+            return 1.0
+        share = min(max((most * moved - dot(normal, drag)) / pushed, 0.0), 1.0)
+    return share
 
 
 @_compiled()
@@ -405,9 +479,8 @@ def body_shares(
 ) -> tuple[float, float]:
     """Greatest speed as a share of the permitted one, and the share of the driving torque that is permitted.
 
-    The speed is that of joints and points, or by the energy of the mass that moves with a point. The force is what a
-    body would feel that blocks a point in the direction of its acceleration: m a, but no more than `BODY_STIFFNESS`
-    times the way that the laws drive the point, which is short near a joint's axis.
+    The speed is that of joints and points, or by the energy ½ ẋᵀ W⁻¹ ẋ, the most that a surface takes up that stops a
+    point. The force is the most that a body feels that blocks a point, see `pressing_share`.
 
     Parameters
     ----------
@@ -439,23 +512,24 @@ def body_shares(
     for index in range(len(links)):
         rows = point_jacobian(rotations, origins, int(links[index]), points[index])
         motion, push, drag = times(rows.T, v), times(rows.T, speeding), times(rows.T, slowing)
+        mobility = mobility_of(rows, mass_factor)
         speed = norm(motion)
         if speed > 1e-3:
-            energy = 0.5 * speed * speed * moving_mass(rows, motion / speed, mass_factor)
-            by_energy = np.sqrt(energy / constants[Constant.IMPACT_ENERGY, 0])
-            part = max(speed / constants[Constant.BODY_SPEED, 0], by_energy)
-            to_share = part / (speed * speed)
+            momentum = times(inverse_of(mobility), motion)
+            energy = 0.5 * dot(motion, momentum)
+            part, hard = (
+                speed / constants[Constant.BODY_SPEED, 0],
+                np.sqrt(energy / constants[Constant.IMPACT_ENERGY, 0]),
+            )
+            rises, slows = dot(motion, push) / speed**2, dot(motion, drag) / speed**2
+            if hard > part:
+                part, rises, slows = hard, 0.5 * dot(momentum, push) / energy, 0.5 * dot(momentum, drag) / energy
             speed_share = max(speed_share, part)
-            share = min(share, faded(part, to_share * dot(motion, push), to_share * dot(motion, drag), delay, ending))
-        acceleration = norm(push)
-        if acceleration > 1e-3:
-            mass = moving_mass(rows, push / acceleration, mass_factor)
-            blocked = push_share(push, drag, most / mass)
-            if blocked < share:
-                lead = times(rows.T, leading)
-                way = norm(lead) / max(constants[Constant.TASK_STIFFNESS, 0], 1e-9)
-                way += norm(push - lead) / max(constants[Constant.NULL_STIFFNESS, 0], 1e-9)
-                share = min(share, max(blocked, most / (constants[Constant.BODY_STIFFNESS, 0] * way)))
+            share = min(share, faded(part, part * rises, part * slows, delay, ending))
+        if norm(push) > 1e-3:
+            for row in range(3):
+                mobility[row, row] += 1.0 / _HEAVIEST
+            share = min(share, pressing_share(push, drag, mobility, most))
     return speed_share, max(share, 0.0)
 
 
@@ -629,7 +703,7 @@ def tracking_torque(
     q, v
         (n,), rad and rad/s.
     authority
-        Share of all torques except the one that holds the arm against gravity.
+        Share of the push that is permitted; damping always has all of its own.
     previous, period
         The last torque sent (n,), N m, and the time since then, s.
     found
@@ -654,6 +728,6 @@ def tracking_torque(
     found[6], push = body_shares(constants, placements, links, points, q, v, factor, driving, braking)
     torque, share = np.empty(n), constants[Constant.GRAVITY_SHARE]
     for i in range(n):
-        law = push * (driving[0, i] + driving[1, i]) + braking[i] + rest[i] + stopping[i] + bias[i]
-        torque[i] = authority * (law - gravity[i]) + share[i] * gravity[i]
+        torque[i] = authority * push * (driving[0, i] + driving[1, i]) + braking[i] + rest[i] + stopping[i]
+        torque[i] += bias[i] - (1.0 - share[i]) * gravity[i]
     return limit_torque(constants, torque, previous, period)

@@ -16,6 +16,9 @@ BRAKING_TIME = 0.1
 GIVING_TIME, GIVING_WAY = 0.5, 0.005
 """Until when after the stop the hold gives way, s, and how far the tip then moves at most, m: so far that what the arm
 presses is let go, and no farther, as it may be a weight."""
+_STALE = 0.02
+"""Time after which a velocity is none any more if positions and velocities stay as they are to the last bit, s: damping
+by it would drive the arm."""
 _GIVING_CONSTANT = 0.04
 """Time constant with which its tension goes meanwhile, s."""
 _CARRIED_CONSTANT = 0.06
@@ -58,8 +61,8 @@ class PassiveStop:
         """(n, 2), rad, from the joints to the anchors of the hold and of the carried tension; None before the first."""
         self._stiffness: Array = np.eye(arm.n)
         self._compliance: Array = np.eye(arm.n)
-        self._q = np.zeros(arm.n)
-        self._since = 0.0
+        self._q = self._v = np.zeros(arm.n)
+        self._since = self._repeated = 0.0
         self._gives = True
         """Whether the hold still gives way."""
         self._from = np.zeros(3)
@@ -81,6 +84,10 @@ class PassiveStop:
         previous, period
             The last torque sent (n,), N m, and the time since then, s.
         """
+        is_repeated = np.array_equal(q, self._q) and np.array_equal(v, self._v)
+        self._repeated, self._v = self._repeated + period if is_repeated else 0.0, v
+        if self._repeated > _STALE:
+            v = np.zeros(len(v))
         if self._bare is not None:
             self._bare.update_dynamics(q)
         mass_matrix = (self._bare or model).mass_matrix

@@ -14,11 +14,9 @@ from contact_reach_ros.settings import ArmDefaults, Sections, Settings, setting
 AUTO = "auto"
 """Task: the one with most rows that the arm can hold."""
 
-BODY_STIFFNESS = 75e3
-"""Of a hand, N/m (ISO/TS 15066): the stiffest body that the caps are for."""
 IMPACT_ENERGY = 0.13
-"""Kinetic energy in the direction of a point's motion beyond which the arm is not driven, J: a body of 75 N/mm is hit
-with 140 N."""
+"""Kinetic energy of a point's motion ½ ẋᵀ W⁻¹ ẋ beyond which the arm is not driven, J: a body of 75 N/mm, a hand by
+ISO/TS 15066, is hit with 140 N, however its surface is turned."""
 JOINT_SHARE = 0.7
 """Joint speed beyond which the arm is not driven, as a share of the data sheet's limit."""
 SINGULARITY_FLOOR = 0.03

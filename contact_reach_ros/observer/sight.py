@@ -86,10 +86,11 @@ class Sight:
         self.rate = RateCheck(period)
         self._names = arm.joint_names
         self._limit_ns = round(max(blind_after, PERIODS * period) * NANOSECONDS)
-        self._seen_ns: int | None = None
-        """Stamp of the last usable state."""
+        self._dark_ns = 0
+        """Time since the last usable state. By the steps of the stamps, which a clock that is set back cannot undo."""
         self._unseen_ns = 0.0
         """Time of earlier gaps that is not made up for."""
+        self._period_ns = round(period * NANOSECONDS)
         self._gap_ns = GAP_PERIODS * period * NANOSECONDS
         self._torque_ns: int | None = None
         """Stamp of the last state that a torque followed from."""
@@ -114,19 +115,18 @@ class Sight:
         known
             Whether the state came with a torque for each joint.
         """
+        if self._stamp_ns:
+            self._dark_ns += stamp_ns - self._stamp_ns if stamp_ns > self._stamp_ns else self._period_ns
         self._repeated, self._stamp_ns = 0, stamp_ns
         self.rate.update(stamp_ns)
         if seen:
             self._torque_ns = stamp_ns
         if seen or (not known and not missing and float(np.abs(v).max()) <= REST_SPEED):
-            since_ns = 0 if self._seen_ns is None else max(stamp_ns - self._seen_ns, 0)
-            more_ns = since_ns if since_ns > self._gap_ns else -FORGIVENESS * since_ns
+            more_ns = self._dark_ns if self._dark_ns > self._gap_ns else -FORGIVENESS * self._dark_ns
             self._unseen_ns = min(max(self._unseen_ns + more_ns, 0.0), self._limit_ns)
-            self._seen_ns, self.blind, self.doubt = stamp_ns, "", self.rate.mismatch()
+            self._dark_ns, self.blind, self.doubt = 0, "", self.rate.mismatch()
             return
-        if self._seen_ns is None or stamp_ns < self._seen_ns:
-            self._seen_ns = stamp_ns
-        unseen_ns = self._unseen_ns + stamp_ns - self._seen_ns
+        unseen_ns = self._unseen_ns + self._dark_ns
         if unseen_ns > self._limit_ns:
             if missing or not known:
                 self._lose(missing or self._explain_motion(v))
@@ -147,9 +147,9 @@ class Sight:
 
     def check_fresh(self, silence: float) -> None:
         """Raise `InputError` unless there is a usable state of late; `silence`: time since the last new one came, s."""
-        if self.blind or self._seen_ns is None:
+        if self.blind or not self._stamp_ns:
             raise InputError(self.blind or self.doubt)
-        check_fresh((self._stamp_ns - self._seen_ns) / NANOSECONDS + silence)
+        check_fresh(self._dark_ns / NANOSECONDS + silence)
 
     def _lose(self, why: str, code: StopCode = StopCode.BLIND) -> None:
         self.blind = self.doubt = StopReason(code, f"blind: {why}")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.bags.reader import BagReader, RawMessage
@@ -157,7 +158,7 @@ class Recording:
         return None if message is None else read_plan(message)
 
 
-def _increasing(times: Array) -> Array:
+def _increasing(times: Array) -> NDArray[np.intp]:
     """Places of as many of the times (n,) as possible, in order, of which each is later than the one before."""
     if (np.diff(times) > 0.0).all():
         return np.arange(len(times))

@@ -62,7 +62,7 @@ def test_plans_that_drive_a_joint_into_its_limit_do_not_get_there(joint, side):
         if loop.now_ns % period_ns == 0:
             loop.plan([greedy_reference(loop, joint, side)], 3 * period_ns)
 
-    for _ in loop.run(1.5, replan):
+    for _ in loop.run(2.0, replan):
         near = near or side * loop.q[joint] > POSITION_LIMITS[joint] - REPULSION_MARGIN
         assert side * loop.q[joint] < POSITION_LIMITS[joint]
     assert near
@@ -102,7 +102,7 @@ def null_direction(loop: ClosedLoop) -> np.ndarray:
     return direction * np.sign(direction[0])
 
 
-@pytest.mark.parametrize(("pulled", "least", "most"), [("posture", 0.3, 0.6), ("flange", 0.3, 0.5)])
+@pytest.mark.parametrize(("pulled", "least", "most"), [("posture", 0.3, 0.6), ("flange", 0.2, 0.5)])
 def test_a_joint_that_a_plan_pulls_too_fast_is_braked_and_no_stop_is_needed(pulled, least, most):
     """References stay far ahead of the posture, which the flange must not feel, or far ahead of the flange."""
     loop = ClosedLoop(ideal_plant())

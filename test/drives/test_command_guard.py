@@ -106,7 +106,7 @@ def test_harmless_torques_damp_and_carry_only_where_they_must(settings, carried)
     bench.see()
     bench.command(carried)
     velocity = np.array([0.05, 0, 0, 0, 0, 0, 0])
-    torque = bench.tick(80, velocity)[-1]
+    torque = bench.tick(35, velocity)[-1]
     rate, model = make_constants(ARM)[Constant.STOP_RATE, 0], RobotModel(ARM)
     model.update_dynamics(HOME)
     np.testing.assert_allclose(torque, carried - rate * model.mass_matrix @ velocity, atol=1e-9)

@@ -172,6 +172,19 @@ def test_stamps_that_stop_make_it_blind_and_ones_that_go_on_make_it_see(before):
     assert not watched.run(1)[0].verdict.reason
 
 
+def test_stamps_that_go_in_a_circle_make_it_blind():
+    """A clock that is set back again and again does not undo the time without an external torque."""
+    watched, seen = Watched(), []
+    watched.run(HANDED_OVER)
+    state = watched.state()
+    for tick in range(100):
+        stamp_ns = state.stamp_ns + 4 * TICK_NS * (tick % 16 + 1)
+        q = state.q + 1e-7 * (-1.0) ** tick
+        seen.append(watched.observer.update(state._replace(stamp_ns=stamp_ns, q=q)))
+    reasons = [report.verdict.reason for report in seen if report is not None]
+    assert not reasons[10] and "blind" in reasons[-1]
+
+
 SHIFTS = {
     "center_shift_x": (0.0, 0.01, 0.0, 0.0, 0.02, 0.0, 0.0),
     "center_shift_y": (0.0, -0.05, 0.0, -0.07, 0.0, 0.0, 0.0),
