@@ -144,10 +144,10 @@ def _check_owner(names: Iterable[str], node: str, arm: Arm, source: str) -> None
             raise SettingsError(f"{source}: unknown key '{name}'; set it for the {' or the '.join(owners)}")
 
 
-def _check_same(file: Path, name: str, of_node: Mapping[str, Any]) -> None:
+def _check_same(file: Path, name: str, of_node: Mapping[str, Any], remedy: str = ": set it in a section '/**'") -> None:
     if len(set(of_node.values())) > 1:
         listed = ", ".join(f"{value} for the {node}" for node, value in of_node.items())
-        raise SettingsError(f"{file}: {name} = {listed}; expected the same for all of them: set it in a section '/**'")
+        raise SettingsError(f"{file}: {name} = {listed}; expected the same for all of them{remedy}")
 
 
 def _check_together(file: Path, settings: Mapping[str, Any], arm: Arm, period: float, started: tuple[str, ...]) -> None:
@@ -161,4 +161,10 @@ def _check_together(file: Path, settings: Mapping[str, Any], arm: Arm, period: f
             check_period(period)
     except SettingsError as error:
         raise SettingsError(f"{file}: {error}") from error
+    if "adapter" in started:
+        of_node = {
+            "adapter": settings["adapter"][""].gravity_compensation,
+            "controller (supervision.gravity_compensation)": settings["controller"]["supervision"].gravity_compensation,
+        }
+        _check_same(file, "gravity_compensation", of_node, "")
     load_budget(settings["observer"][""].contact_budget).resolve(arm)

@@ -320,6 +320,7 @@ CPUS = Setting("cpus", "auto", "CPUs to run on: auto, all, or numbers")
 EVERY_NODE = (ROBOT, RATE, AUTOSTART, CPUS)
 """Parameters of every node but bring-up."""
 
+_WILDCARDS = ("*", "**")
 _OF_OTHERS = {"impedance.": "controller", "contact_budget": "observer"}
 """Prefixes of parameters that one node has and others read in its section, by node."""
 _OF_ROS = ("use_sim_time", "start_type_description_service")
@@ -359,14 +360,14 @@ def parameters_in(file: Path, node_name: str, namespace: str = "/") -> dict[str,
         If the file cannot be read, is not a parameter file, or has sections for this node in other namespaces only.
     """
     found: dict[str, Any] = {}
-    holds: dict[str, bool] = {}
-    """By the sections with the node's own name."""
+    holds: dict[bool, dict[str, bool]] = {False: {}, True: {}}
+    """Of the sections with the node's own name, and of wildcards, each by itself."""
     for pattern, content in read_yaml(file).items():
         if not isinstance(content, dict) or "ros__parameters" not in content:
             raise SettingsError(f"{file}: '{pattern}' has no ros__parameters; expected '<node>: ros__parameters: ...'")
         is_for = _is_for(str(pattern), node_name, namespace)
-        if str(pattern).rpartition("/")[2] == node_name:
-            holds[str(pattern)] = is_for
+        if (name := str(pattern).rpartition("/")[2]) in (node_name, *_WILDCARDS):
+            holds[name in _WILDCARDS][str(pattern)] = is_for
         if is_for:
             parameters = content["ros__parameters"]
             if beside := [str(key) for key in content if key != "ros__parameters"]:
@@ -381,11 +382,14 @@ def parameters_in(file: Path, node_name: str, namespace: str = "/") -> dict[str,
                     raise SettingsError(f"{file}: {pattern}: '{name}' is there twice; remove one")
                 own[name] = value
             found |= own
-    if holds and not any(holds.values()):
-        raise SettingsError(
-            f"{file}: {', '.join(holds)}: the {node_name} is in namespace {namespace}, where none of these sections "
-            f"holds; expected '{node_name}', which holds in every namespace, or '{namespace.rstrip('/')}/{node_name}'"
-        )
+    for is_wildcard, those in holds.items():
+        if those and not any(those.values()):
+            name = "/**" if is_wildcard else node_name
+            here = f"{namespace.rstrip('/')}/{name.lstrip('/')}"
+            raise SettingsError(
+                f"{file}: {', '.join(those)}: the {node_name} is in namespace {namespace}, where none of these "
+                f"sections holds; expected '{name}', which holds in every namespace, or '{here}'"
+            )
     return found
 
 
@@ -397,7 +401,7 @@ def check_node_names(file: Path) -> None:
 
 def check_node_name(name: str, source: str) -> None:
     """Raise `SettingsError`, naming `source` and the nearest node, if `name` is none of `NODES` and no wildcard."""
-    if name not in (*NODES, "*", "**"):
+    if name not in (*NODES, *_WILDCARDS):
         raise SettingsError(unknown_key(name, NODES, source, "node"))
 
 
@@ -442,7 +446,7 @@ def _is_for(pattern: str, node_name: str, namespace: str) -> bool:
     """Whether a section of a parameter file is for a node; * stands for one name, ** for any number of them."""
     names = pattern.strip("/").split("/")
     if len(names) == 1:
-        return names[0] in (node_name, "*", "**")
+        return names[0] in (node_name, *_WILDCARDS)
     expression = "".join({"**": r"(/\w+)*", "*": r"/\w+"}.get(name, f"/{re.escape(name)}") for name in names)
     return re.fullmatch(expression, f"{namespace.rstrip('/')}/{node_name}") is not None
 

@@ -37,6 +37,7 @@ def test_the_packages_own_file_passes():
         ({"plannner": {"period": 0.1}}, "unknown node 'plannner'; did you mean 'planner'"),
         ({"/arm/planer": {}}, "unknown node 'planer'; did you mean 'planner'"),
         ({"/arm/planner": {}}, "/arm/planner: the planner is in namespace /"),
+        ({"/left/**": {"robot": "fr3"}, "controller": {}}, r"/left/\*\*: the driver is in namespace /, where none of"),
         ({"planner": {"perod": 0.1}}, "planner: unknown key 'perod'; did you mean 'period'"),
         ({"/**/observer": {"momentum": {"gian": 9.0}}}, "observer: unknown key 'momentum.gian'"),
         ({"controller": {"limits": {"torque_share": 2.0}}}, "controller: limits.torque_share = 2.0: expected a number"),
@@ -109,6 +110,15 @@ def test_wildcards_mean_what_they_mean_in_ros(written, wildcard):
     with pytest.raises(SettingsError, match=r"/\*/controller: the controller is in namespace /, where none of these"):
         parameters_in(written(**{"/*/controller": {"cpus": "0"}}), "controller")
     assert parameters_in(written(**{"/*/controller": {"cpus": "0"}}), "controller", "/left") == {"cpus": "0"}
+
+
+def test_controller_and_adapter_agree_on_who_carries_the_arm(written):
+    carried = {"supervision": {"gravity_compensation": False}}
+    stack = {**STACK, "adapter": {}}
+    check_parameters(written(adapter={"gravity_compensation": False}, controller=carried), stack)
+    for nodes in ({"adapter": {"gravity_compensation": False}}, {"controller": carried}):
+        with pytest.raises(SettingsError, match=r"gravity_compensation = .*; expected the same for all of them"):
+            check_parameters(written(**nodes), stack)
 
 
 PAPER = ("paper_linear", "paper_hinge")

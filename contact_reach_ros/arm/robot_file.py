@@ -34,14 +34,14 @@ def read_robot_file(file: Path, options: ArmOptions) -> tuple[Element, list[str]
     the file.
     """
     content = _content(file)
-    root = _parsed(content, file)
+    root = parse_xml(content, file)
     if root.tag == "mujoco":
         # MuJoCo is loaded for its own files only.
         from contact_reach_ros.arm.mjcf_reader import robot_of_mjcf
 
         return robot_of_mjcf(file)
     if b"${" in content or b"$(" in content or any(element.tag.startswith("xacro:") for element in root.iter()):
-        root = _parsed(_expanded(root, file, options), file)
+        root = parse_xml(_expanded(root, file, options), file)
     if root.tag != "robot":
         raise SettingsError(f"{file}: its root is <{root.tag}>; expected <robot> (URDF, xacro) or <mujoco> (MJCF)")
     return root, []
@@ -55,8 +55,11 @@ def _content(file: Path) -> bytes:
         raise SettingsError(f"{file}: cannot be read ({error.strerror}); {expected}") from error
 
 
-def _parsed(content: bytes, file: Path) -> Element:
-    """The root element; prefixes stay parts of names, so that undeclared ones do no harm."""
+def parse_xml(content: bytes, source: Path | str) -> Element:
+    """The root element; prefixes stay parts of names, so that undeclared ones do no harm.
+
+    Raises `SettingsError`, beginning with `source`, if it is none.
+    """
     builder, parser = TreeBuilder(), expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     parser.CharacterDataHandler = builder.data
@@ -66,7 +69,7 @@ def _parsed(content: bytes, file: Path) -> Element:
         parser.Parse(content, True)
     # The others are of encodings that Python does not know, or that expat cannot use.
     except (expat.ExpatError, LookupError, ValueError) as error:
-        raise SettingsError(f"{file}: not valid XML: {error}; expected a URDF, xacro or MJCF file") from error
+        raise SettingsError(f"{source}: not valid XML: {error}; expected a URDF, xacro or MJCF file") from error
     return builder.close()
 
 
@@ -128,7 +131,7 @@ def package_folders(package: str, file: Path, packages: Mapping[str, str]) -> It
 
 def _is_package(file: Path, package: str) -> bool:
     try:
-        return (_parsed(_content(file), file).findtext("name") or "").strip() == package
+        return (parse_xml(_content(file), file).findtext("name") or "").strip() == package
     except SettingsError:
         return False
 

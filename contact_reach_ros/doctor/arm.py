@@ -62,6 +62,8 @@ def joint_names(record: JointRecord, arm: Arm, command_order: Sequence[str] | No
     command_order
         Parameter `joints` of a controller of ros2_control that takes the commands; None if there is none.
     """
+    if not len(record.stamps_ns):
+        return failed("no joint states to read names from", _MISSING)
     wanted = arm.joint_names
     ordered = f"[{', '.join(wanted)}]"
     fix_order = (
@@ -79,6 +81,11 @@ def joint_names(record: JointRecord, arm: Arm, command_order: Sequence[str] | No
         # States are read by name, so that their order only counts as a hint at the order of the commands.
         if order != wanted and command_order is None:
             return failed(f"joint_states come in the order {', '.join(names)}", fix_order)
+    for field, values in (("position", record.position), ("velocity", record.velocity)):
+        lacking = [joint for joint, column in zip(wanted, values.T, strict=True) if not np.isfinite(column).all()]
+        if lacking:
+            found = f"joint_states have no {field} of {', '.join(lacking)}, or not always"
+            return failed(found, f"let the driver fill {field} with finite numbers: nothing is started before")
     others = sorted({joint for names in record.names for joint in names} - set(wanted))
     ignored = f"; {', '.join(others)} are ignored" if others else ""
     return Finding(Verdict.PASS, ", ".join(wanted) + ignored)
@@ -128,7 +135,8 @@ def gravity(record: JointRecord, model: RobotModel, budget: ContactBudget) -> Fi
     again = "run doctor again when the brakes are open and the arm is at rest (no goal)"
     known: NDArray[np.bool_] = np.isfinite(record.effort.sum(axis=1))
     if not len(known) or not known[-1]:
-        return graded("not compared: no effort in joint_states, as with closed brakes", again, warn=True)
+        why = "no effort in joint_states, as with closed brakes" if len(known) else "no joint states"
+        return graded(f"not compared: {why}", again, warn=True)
     q, v, effort = record.position[known], record.velocity[known], record.effort[known]
     if np.abs(v.mean(axis=0)).max() > _REST_SPEED or np.ptp(q, axis=0).max() > _REST_TRAVEL:
         return graded("not compared: the arm moves", again, warn=True)

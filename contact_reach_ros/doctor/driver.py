@@ -41,6 +41,7 @@ def listen(options: BringupOptions, arm: Arm, period: float, seconds: float) -> 
         def take(state: Any) -> None:
             heard.append((state, client.inbox.received_ns))
 
+        states = node.resolve_topic_name(FRANKA_STATES if kind == FRANKA else topics.JOINT_STATES.name)
         # Nothing is switched here.
         if kind == LBR:
             target = LbrTarget(node, arm, dataclasses.replace(chosen, component=""), period)
@@ -48,8 +49,7 @@ def listen(options: BringupOptions, arm: Arm, period: float, seconds: float) -> 
         else:
             effort = chosen.effort if kind == FRANKA else dataclasses.replace(chosen, brakes=False)
             target = EffortTarget(node, arm, effort, carries=True)
-            name = FRANKA_STATES if kind == FRANKA else topics.JOINT_STATES.name
-            client.inbox.add(topics.JOINT_STATES._replace(name=name), take, stack.ANYTHING)
+            client.inbox.add(topics.JOINT_STATES._replace(name=states), take, stack.ANYTHING)
         client.spin(stack.SETTLED_S)
         client.until(lambda: target.look() or _fits(target), stack.SETTLED_S)
         heard.clear()
@@ -57,12 +57,16 @@ def listen(options: BringupOptions, arm: Arm, period: float, seconds: float) -> 
         client.until(lambda: False, seconds)
         commands = node.resolve_topic_name(target.topic.name)
         takers = stack.endpoints(node.get_subscriptions_info_by_topic(commands))
+        givers = [] if kind == LBR else stack.endpoints(node.get_publishers_info_by_topic(states))
         client.close()
     own = stack.Endpoint(f"the {ADAPTER}", target.topic.type_name, as_offered(qos_profile(target.topic.qos)))
     deaf = stack.incompatible([own], takers)
     found = f"{commands} → {', '.join(taker.node for taker in takers) or 'nobody'}{deaf and '; ' + deaf}"
     fix = "activate the controller that takes the torques, and let it request no more than reliable, volatile"
     findings = {"driver": _driver(target), "commands": graded(found, fix, fail=bool(deaf or not takers))}
+    if len(givers) > 1:
+        found = f"{states}: {len(givers)} publishers, {', '.join(giver.node for giver in givers)}; expected one"
+        findings["joint states"] = failed(found, f"let the others publish elsewhere: remap their topic {states}")
     return findings, _fri_record(heard, arm) if kind == LBR else stack.joint_record(heard, arm)
 
 

@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ from sensor_msgs.msg import JointState
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.doctor.arm import JointRecord
 from contact_reach_ros.doctor.findings import Finding, Verdict, failed, graded
-from contact_reach_ros.drives.settings import FRANKA, FRANKA_STATES, LBR
+from contact_reach_ros.drives.settings import FRANKA, FRANKA_STATES
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.safety_state import ERROR, read_level
@@ -43,7 +44,7 @@ NEEDED_NODES = ("controller", "observer", "planner")
 _NEEDED_TOPICS = (*ALONE, topics.SAFETY_STATE, topics.EXTERNAL_TORQUE)
 
 _EFFORT_CONTROLLER = "effort_controller"
-"""Name of the ros2_control controller that takes the commands, where there is one."""
+"""Its name without an adapter that is set otherwise."""
 _DRIVE_TIMEOUT_S = 0.1
 """Recommended for a drive that has a timeout: the adapter's own time until a stop."""
 ANYTHING = Qos(2000, reliable=False)
@@ -64,7 +65,7 @@ class Endpoint(NamedTuple):
     qos: QoSProfile
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Graph:
     """The graph of a ROS domain.
 
@@ -98,6 +99,12 @@ class Graph:
         return str(self.settings.get(ADAPTER, {}).get("kind", ""))
 
     @property
+    def effort_controller(self) -> str:
+        """Name of the ros2_control controller that takes the commands, where there is one."""
+        name = self.settings.get(ADAPTER, {}).get(f"{self.adapter}.controller", _EFFORT_CONTROLLER)
+        return str(name).lstrip("/")
+
+    @property
     def running(self) -> bool:
         """Whether any part of a stack is there."""
         return any(f"/{name}" in self.nodes for name in MANAGED if name != VIEWER) or bool(
@@ -124,7 +131,6 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
         for name in (name for name in MANAGED if f"/{name}" in names):
             answer = _ask(client, f"/{name}/get_state", GetState, GetState.Request())
             states[name] = answer.current_state.label if answer is not None else ""
-        drive = _parameters_of_drive(client) if f"/{_EFFORT_CONTROLLER}" in names else {}
         safety: dict[str, DiagnosticStatus] = {}
         settings: dict[str, Mapping[str, Any]] = {}
         # Franka's driver has slow states on joint_states, which its stack does not hear.
@@ -149,8 +155,9 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
             states,
             [(name, status.message, read_level(status) >= ERROR) for name, status in safety.items()],
             settings,
-            drive,
         )
+        if f"/{graph.effort_controller}" in names:
+            graph = dataclasses.replace(graph, drive=_parameters_of_drive(client, graph.effort_controller))
         client.close()
     return graph, heard[FRANKA_STATES if graph.adapter == FRANKA else topics.JOINT_STATES.name]
 
@@ -163,11 +170,11 @@ def _ask(client: Client, service: str, kind: Any, request: Any) -> Any:
         return None
 
 
-def _parameters_of_drive(client: Client) -> Mapping[str, Any]:
+def _parameters_of_drive(client: Client, name: str) -> Mapping[str, Any]:
     """Joints and timeouts, s, among the parameters of a ros2_control controller; empty without an answer."""
-    listed = _ask(client, f"/{_EFFORT_CONTROLLER}/list_parameters", ListParameters, ListParameters.Request())
+    listed = _ask(client, f"/{name}/list_parameters", ListParameters, ListParameters.Request())
     names = [] if listed is None else [name for name in listed.result.names if name == "joints" or "timeout" in name]
-    answer = _ask(client, f"/{_EFFORT_CONTROLLER}/get_parameters", GetParameters, GetParameters.Request(names=names))
+    answer = _ask(client, f"/{name}/get_parameters", GetParameters, GetParameters.Request(names=names))
     values = [] if answer is None else map(parameter_value_to_python, answer.values)
     return dict(zip(names, values, strict=False))
 
@@ -255,14 +262,13 @@ def commands_end(graph: Graph) -> Finding:
         return graded("the driver keeps the last torque", fix, warn=True)
     timeouts = {name: value for name, value in graph.drive.items() if isinstance(value, float)}
     off = [name for name, seconds in timeouts.items() if not seconds > 0.0]
+    name = graph.effort_controller
     if off:
-        fix = (
-            f"see what the arm does at such a timeout, then set {off[0]}: {_DRIVE_TIMEOUT_S:g} for {_EFFORT_CONTROLLER}"
-        )
-        return graded(f"{', '.join(off)} of {_EFFORT_CONTROLLER} is off: the last torque stays", fix, warn=True)
+        fix = f"see what the arm does at such a timeout, then set {off[0]}: {_DRIVE_TIMEOUT_S:g} for {name}"
+        return graded(f"{', '.join(off)} of {name} is off: the last torque stays", fix, warn=True)
     if timeouts:
-        own = ", ".join(f"{name} = {seconds:g} s" for name, seconds in timeouts.items())
-        return Finding(Verdict.PASS, f"{_EFFORT_CONTROLLER} has {own}")
+        own = ", ".join(f"{each} = {seconds:g} s" for each, seconds in timeouts.items())
+        return Finding(Verdict.PASS, f"{name} has {own}")
     return Finding(Verdict.PASS, "the drive offers no timeout here; docs/adapter.md says what remains")
 
 
@@ -285,7 +291,7 @@ def topic(graph: Graph, wanted: Topic) -> Finding:
         found += f"; {deaf}"
         fix = "let the subscription ask for less (best effort, volatile), or the publisher offer more "
         fix += "(reliable, transient local)"
-    elif wanted in _NEEDED_TOPICS and not publishers and not (wanted is topics.COMMANDS and graph.adapter == LBR):
+    elif wanted in _NEEDED_TOPICS and not publishers and not (wanted is topics.COMMANDS and graph.adapter):
         fix = f"start {' or '.join(OWNERS[wanted.name])}, or remap your topic to this name"
     return Finding(Verdict.FAIL if fix else Verdict.PASS, found, fix)
 

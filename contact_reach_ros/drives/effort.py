@@ -13,6 +13,7 @@ from rclpy.task import Future
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.drives.settings import EFFORT, EffortSettings
+from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.serialized import command_writer
 
@@ -22,7 +23,7 @@ except ImportError:
     ListControllers = SwitchController = None
 
 MANAGER = "controller_manager"
-"""Name of the controller manager, which deactivates the controller; remap its services if it has another."""
+"""Name of the controller manager, which deactivates the controller, in the namespace of that controller."""
 PACKAGE = "controller_manager_msgs"
 _ACTIVE = "active"
 _PATIENCE_S = 2.0
@@ -88,6 +89,7 @@ class EffortTarget:
         self.idle = ""
         self._name = settings.controller.rpartition("/")[2]
         """As the controller manager has it."""
+        self._manager = f"{settings.controller.removesuffix(self._name)}{MANAGER}"
         self._order_problem = self._found = self._inactive = ""
         self._node, self._arm, self._settings = node, arm, settings
         self._indices: list[int] = []
@@ -103,7 +105,7 @@ class EffortTarget:
             self._take_order(arm.joint_names)
         if ListControllers is not None:
             self._list = RepeatedRequest(
-                node.create_client(ListControllers, f"{MANAGER}/list_controllers"), self._on_list
+                node.create_client(ListControllers, f"{self._manager}/list_controllers"), self._on_list
             )
         if carries and not settings.brakes:
             return
@@ -113,7 +115,7 @@ class EffortTarget:
                 "torques until ~/reset; install ros-jazzy-controller-manager-msgs"
             )
         else:
-            self._switch = node.create_client(SwitchController, f"{MANAGER}/switch_controller")
+            self._switch = node.create_client(SwitchController, f"{self._manager}/switch_controller")
 
     @property
     def problem(self) -> str:
@@ -155,6 +157,11 @@ class EffortTarget:
         """Deactivate the controller, if that is possible; without waiting for it."""
         self._switch_controller("deactivate")
 
+    def check_reset(self) -> None:
+        """Raise `InputError` while the controller is not active, unless `resume` activates it."""
+        if self._switch is None and self._inactive:
+            raise InputError(self._inactive)
+
     def resume(self, was_stopped: bool) -> None:
         """Activate it again after a stop."""
         if was_stopped:
@@ -170,8 +177,7 @@ class EffortTarget:
         return f"; there is {', '.join(sorted(found))}: set the parameter {self.SECTION}.controller to it"
 
     def _on_order(self, answer: Any) -> None:
-        if answer.values:
-            self._take_order(tuple(answer.values[0].string_array_value))
+        self._take_order(tuple(answer.values[0].string_array_value) if answer.values else ())
 
     def _take_order(self, joints: tuple[str, ...]) -> None:
         names = self._arm.joint_names
@@ -190,17 +196,23 @@ class EffortTarget:
         state, inactive = found[name].state if name in found else _ACTIVE, ""
         self.idle = "" if state == _ACTIVE else f"{name} is {state}"
         if self.idle:
-            others = [each.name for each in found.values() if each.state == _ACTIVE and each.claimed_interfaces]
+            others = [each.name for each in found.values() if each.state == _ACTIVE and self._is_of_arm(each)]
             instead = f", and {', '.join(others)} commands the drive" if others else ""
             switch = f"--activate {name}" + (f" --deactivate {' '.join(others)}" if others else "")
             inactive = f"{self.idle}{instead}: ros2 control switch_controllers {switch}"
         # At once: the loop reads it in another thread.
         self._inactive = inactive
 
+    def _is_of_arm(self, controller: Any) -> bool:
+        """Whether a controller commands a joint of the arm, itself or through another one."""
+        parts = {part for claim in controller.claimed_interfaces for part in claim.split("/")}
+        return not parts.isdisjoint(self._arm.joint_names)
+
     def _switch_controller(self, act: str) -> None:
         if self._switch is None:
             return
-        request: Any = SwitchController.Request(strictness=SwitchController.Request.STRICT)
+        # Strict, a manager refuses what is done already; of one controller there is nothing else to lose.
+        request: Any = SwitchController.Request(strictness=SwitchController.Request.BEST_EFFORT)
         setattr(request, f"{act}_controllers", [self._name])
         self._switch.call_async(request).add_done_callback(lambda future: self._on_switched(act, future))
 
@@ -209,4 +221,4 @@ class EffortTarget:
         if future.result() is not None and future.result().ok:
             logger.info(f"{act}d {name}")
         else:
-            logger.error(f"{MANAGER} did not {act} {name}; see its log")
+            logger.error(f"{self._manager} did not {act} {name}; see its log")

@@ -5,13 +5,13 @@ from __future__ import annotations
 import cmath
 import math
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 
 from contact_reach_ros.arm import Arm, Array, JointState
+from contact_reach_ros.arm.robot_file import parse_xml
 from contact_reach_ros.drives.settings import LbrSettings
-from contact_reach_ros.errors import InputError
+from contact_reach_ros.errors import InputError, SettingsError
 from contact_reach_ros.timing import NANOSECONDS
 
 SESSION = ("IDLE", "MONITORING_WAIT", "MONITORING_READY", "COMMANDING_WAIT", "COMMANDING_ACTIVE")
@@ -83,9 +83,9 @@ def read_driver(description: str, has_commanded: bool) -> LbrDriver:
         If it is none of the known ones, or set so that torques cannot be commanded; the message names the setting.
     """
     try:
-        hardware = ElementTree.fromstring(description).iter("hardware")
-    except ElementTree.ParseError as error:
-        raise InputError(f"robot_description is no XML: {error}") from error
+        hardware = parse_xml(description.encode(), "robot_description").iter("hardware")
+    except SettingsError as error:
+        raise InputError(str(error)) from error
     found = next((each for each in hardware if (each.findtext("plugin") or "").strip() == PLUGIN), None)
     if found is None:
         raise InputError(

@@ -159,6 +159,9 @@ class LbrTarget:
             request = SetHardwareComponentState.Request(name=self._settings.component, target_state=target)
             self._switch.call_async(request).add_done_callback(self._on_switched)
 
+    def check_reset(self) -> None:
+        """Do nothing: `resume` begins the checks anew."""
+
     def resume(self, was_stopped: bool) -> None:
         """Check again what has failed; after a stop the driver has to be started again, with LBRServer."""
         self.states.reset()

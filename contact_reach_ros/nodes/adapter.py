@@ -144,6 +144,7 @@ class AdapterNode(StoppableNode):
         """Pass commands on again. Raises `InputError` if the arm may not be released yet."""
         if self._is_ending:
             raise InputError(f"{_ENDING}: let it, and start the stack again")
+        self._target.check_reset()
         was_stopped = bool(self._guard.stop_reason)
         self._guard.reset(self.now_ns)
         self._target.resume(was_stopped)

@@ -106,7 +106,8 @@ class ObserverNode(StoppableNode):
                 why = reason if distrust in ("", reason) else f"{reason}; {distrust}"
                 # Bags must not end between a stop and what led to it.
                 self._intake.flush()
-                self.say(f"stop: {why}; call ~/reset to continue")
+                way = "; call ~/reset to continue" if self._observer.monitor.stop_reason else ""
+                self.say(f"stop: {why}{way}")
             state = to_safety_state(report, self.NAME, self.arm)
             state.values.append(KeyValue(key=STOPS_CALLED, value=str(self.stops_called)))
             self._safety.publish(state)

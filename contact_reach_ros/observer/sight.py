@@ -12,6 +12,11 @@ STILL = 20
 """So many states whose stamp is not new mean that the stamps have stopped."""
 PERIODS = 4
 """Least number of periods without a usable state that count as blindness."""
+_GAPS = (
+    "no two joint states of late are near enough, by their stamps, for the external torque: look at the driver, its "
+    "clock and the network"
+)
+"""Without numbers, as all reasons: each new one is published, logged and recorded."""
 FORGIVENESS = 0.2
 """Share of the time with usable states that makes up for time without: gaps that return soon add up to blindness."""
 
@@ -57,8 +62,10 @@ class RateCheck:
         """In what way the states do not come at the nominal rate; empty when they do, or before `least` steps."""
         if self.steps < least or abs(self.mean_ns / self._period_ns - 1.0) <= self.TOLERANCE:
             return ""
+        # A rate that hardly changes is no new reason.
+        rate = float(f"{self.frequency:.2g}")
         return (
-            f"joint states come at {self.frequency:.0f} Hz, expected {NANOSECONDS / self._period_ns:.0f} Hz: set the "
+            f"joint states come at {rate:.0f} Hz, expected {NANOSECONDS / self._period_ns:.0f} Hz: set the "
             "parameter state_rate of all nodes to the driver's, or remap joint_states to a topic that has them all, as "
             "franka/joint_states of franka_ros2"
         )
@@ -84,7 +91,6 @@ class Sight:
         self.blind = ""
         self.doubt = "no joint state with a torque yet"
         self.rate = RateCheck(period)
-        self._names = arm.joint_names
         self._limit_ns = round(max(blind_after, PERIODS * period) * NANOSECONDS)
         self._dark_ns = 0
         """Time since the last usable state. By the steps of the stamps, which a clock that is set back cannot undo."""
@@ -129,9 +135,9 @@ class Sight:
         unseen_ns = self._unseen_ns + self._dark_ns
         if unseen_ns > self._limit_ns:
             if missing or not known:
-                self._lose(missing or self._explain_motion(v))
+                self._lose(missing or "no torque is known while the arm moves: let the driver fill effort")
             else:
-                self._lose(self.rate.mismatch(least=2) or _explain_gaps(unseen_ns), StopCode.MISSED_STATES)
+                self._lose(self.rate.mismatch(least=2) or _GAPS, StopCode.MISSED_STATES)
 
     def sees(self, stamp_ns: int) -> bool:
         """Whether a torque followed from a state so short a time ago that the brakes can hardly be closed."""
@@ -153,17 +159,3 @@ class Sight:
 
     def _lose(self, why: str, code: StopCode = StopCode.BLIND) -> None:
         self.blind = self.doubt = StopReason(code, f"blind: {why}")
-
-    def _explain_motion(self, v: Array) -> str:
-        joint = int(np.abs(v).argmax())
-        return (
-            f"no torque is known while {self._names[joint]} moves with {abs(v[joint]):.2f} rad/s: let the driver fill "
-            "effort"
-        )
-
-
-def _explain_gaps(unseen_ns: float) -> str:
-    return (
-        f"no two joint states of the last {1000 * unseen_ns / NANOSECONDS:.0f} ms are near enough, by their stamps, "
-        "for the external torque: look at the driver, its clock and the network"
-    )

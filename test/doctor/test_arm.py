@@ -43,6 +43,15 @@ def test_other_names_beside_the_right_ones_pass_and_missing_ones_are_named():
     assert "lbr_A1" in finding.found and "lbr_A7" not in finding.found.partition(";")[0] and "prefix" in finding.fix
 
 
+def test_states_with_which_nothing_starts_fail():
+    unknown = np.full((1000, ARM.n), 0.0)
+    unknown[:, 2] = np.nan
+    for field in ("position", "velocity"):
+        finding = joint_names(record(**{field: unknown}), ARM)
+        assert finding.verdict is Verdict.FAIL and f"no {field} of lbr_A3" in finding.found
+    assert joint_names(record(0, names=()), ARM).verdict is Verdict.FAIL
+
+
 SWAPPED = ("lbr_A1", "lbr_A2", "lbr_A4", "lbr_A3", "lbr_A5", "lbr_A6", "lbr_A7")
 
 

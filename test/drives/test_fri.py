@@ -60,7 +60,7 @@ def test_both_generations_are_recognised_by_their_hardware_parameters(generation
             1,
             "hardware",
         ),
-        ("<robot", 1, "no XML"),
+        ("<robot", 1, "not valid XML"),
     ],
 )
 def test_another_driver_and_each_wrong_setting_are_named(text, fri, words):

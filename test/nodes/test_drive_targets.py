@@ -1,5 +1,6 @@
 """What the adapter makes of the messages of KUKA's and Franka's drivers, and what it asks of the other nodes."""
 
+import contextlib
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,7 +23,7 @@ from contact_reach_ros.drives.settings import (
     FrankaSettings,
     LbrSettings,
 )
-from contact_reach_ros.errors import SettingsError, StopCode
+from contact_reach_ros.errors import InputError, SettingsError, StopCode
 from contact_reach_ros.messages import topics
 from contact_reach_ros.nodes.adapter import AdapterNode
 from contact_reach_ros.resources import config_file
@@ -190,6 +191,7 @@ def test_torques_reach_an_arm_whose_effort_controller_is_active(states, idle):
 def test_the_controller_manager_knows_a_controller_without_its_namespace():
     node = Node()
     effort.EffortTarget(node, ARM, EffortSettings(controller="left/effort_controller", ask_joints=False), False).stop()
+    assert node.asked_for == "left/controller_manager/switch_controller"
     assert list(node.asked[0].deactivate_controllers) == ["effort_controller"]
 
 
@@ -226,6 +228,39 @@ def test_nothing_passes_while_another_controller_commands_the_drive():
     node.answer = listed("active", "inactive")
     target.look()
     assert not target.problem
+
+
+def test_a_gripper_keeps_its_controller():
+    def controller(name, state, *claims):
+        return SimpleNamespace(name=name, state=state, claimed_interfaces=claims)
+
+    gripper = controller("gripper_controller", "active", "finger_joint/position")
+    for other in (("chained", "admittance/lbr_A3/effort"), ("plain", "lbr_A3/effort")):
+        listed = [controller("effort_controller", "inactive"), gripper, controller(other[0], "active", other[1])]
+        target = effort.EffortTarget(
+            Node(SimpleNamespace(controller=listed)), ARM, EffortSettings(ask_joints=False), True
+        )
+        target.look()
+        assert target.problem.endswith(f"--activate effort_controller --deactivate {other[0]}")
+
+
+def test_a_reset_needs_a_controller_that_is_active_or_that_it_activates():
+    listed = [SimpleNamespace(name="effort_controller", state="inactive", claimed_interfaces=[])]
+    for carries, may_reset in ((True, False), (False, True)):
+        target = effort.EffortTarget(
+            Node(SimpleNamespace(controller=listed)), ARM, EffortSettings(ask_joints=False), carries
+        )
+        target.ask_idle()
+        with contextlib.nullcontext() if may_reset else pytest.raises(InputError, match="--activate effort_controller"):
+            target.check_reset()
+
+
+def test_a_controller_without_joints_is_named(monkeypatch):
+    monkeypatch.setattr(effort, "ListControllers", None)
+    target = effort.EffortTarget(Node(SimpleNamespace(values=[])), ARM, EffortSettings(), True)
+    monkeypatch.setattr(target, "_find_elsewhere", lambda: "")
+    target.look()
+    assert "takes commands for the joints none" in target.problem
 
 
 def test_torques_reach_a_kuka_in_a_commanding_session_until_its_component_is_deactivated():

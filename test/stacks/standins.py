@@ -99,7 +99,7 @@ class EffortDriver(StandIn):
 
     def _on_switch(self, request, response):
         controllers = {*request.activate_controllers, *request.deactivate_controllers}
-        response.ok = controllers == {"effort_controller"} and request.strictness == request.STRICT
+        response.ok = controllers == {"effort_controller"} and request.strictness == request.BEST_EFFORT
         if not response.ok:
             return response
         self._is_active = not request.deactivate_controllers
