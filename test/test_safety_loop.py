@@ -298,7 +298,12 @@ DRIVERS = {
     "with rounded stamps": (stamped(lambda t: round(t, 3)), HOME, Mode.HOLDING, ""),
     "with jittering stamps": (stamped(lambda t: t + 0.004 * math.sin(1e4 * t)), HOME, Mode.HOLDING, ""),
     "with a clock set back": (stamped(lambda t: t - 10.0 * (t > 0.5)), HOME, Mode.HOLDING, ""),
-    "with a clock set forward": (stamped(lambda t: t + 3600.0 * (t > 0.5)), HOME, Mode.STOPPED, "last 3600005 ms"),
+    "with a clock set forward": (
+        stamped(lambda t: t + 3600.0 * (t > 0.5)),
+        HOME,
+        Mode.STOPPED,
+        "near enough, by their",
+    ),
     "without torques": (with_torque(lambda _: None), HOME, Mode.WAITING, "joint_states carry no effort"),
     "with torques of zero": (with_torque(np.zeros_like), HOME, Mode.SILENT, WEIGHT),
     "with torques of the other sign": (with_torque(np.negative), HOME, Mode.SILENT, WEIGHT),

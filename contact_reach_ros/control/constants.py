@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,10 +39,12 @@ def make_constants(
     limits: LimitSettings | None = None,
     supervision: SupervisionSettings | None = None,
     period: float = PERIOD,
+    hold: Sequence[float] | None = None,
 ) -> Array:
     """Build the matrix (len(Constant), n) of `kernels.Constant`; settings that are not given have their defaults.
 
-    `period`: nominal time between joint states, s, for which the damping of joints stays stable.
+    `period`: nominal time between joint states, s, for which the damping of joints stays stable; `hold`: torques (n,),
+    N m, that a stop and the laws always hold, the arm's limits at hand-over by default.
     """
     impedance, limits = (impedance or ImpedanceSettings()).resolve(arm), limits or LimitSettings()
     supervision = supervision or SupervisionSettings()
@@ -68,6 +71,7 @@ def make_constants(
         Constant.JOINT_SPEED: JOINT_SHARE * speeds,
         Constant.IMPACT_ENERGY: IMPACT_ENERGY,
         Constant.TORQUE_DELAY: limits.torque_delay,
+        Constant.HOLD: np.array(arm.default("handover_thresholds") if hold is None else hold),
     }
     return np.array([np.broadcast_to(values[row], arm.n) for row in Constant])
 

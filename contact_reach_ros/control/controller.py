@@ -79,7 +79,8 @@ class Controller:
         period
             Nominal time between joint states, s.
         hold
-            Torque (n,) up to which a stop holds a joint, N m: the budget's hand-over limits; the arm's by default.
+            Torque (n,) up to which a joint is held in any case, N m: the budget's hand-over limits; the arm's by
+            default.
         """
         settings = settings.resolve(arm)
         check_gains(arm, settings.impedance, period)
@@ -98,9 +99,9 @@ class Controller:
         self._watched_ns = 0
         """When a state was last shown to it, on the watchdogs' clock."""
         self._period = period
-        self._constants = make_constants(arm, settings.impedance, settings.limits, settings.supervision, period)
+        self._constants = make_constants(arm, settings.impedance, settings.limits, settings.supervision, period, hold)
         self._body = body_of(self.model)
-        self._stop = PassiveStop(arm, self._constants, hold)
+        self._stop = PassiveStop(arm, self._constants)
         self._sent = np.zeros(arm.n)
         """The last torque, which limits the change of the next one."""
         self.started = False

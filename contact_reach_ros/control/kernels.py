@@ -49,6 +49,7 @@ class Constant(IntEnum):
     JOINT_SPEED = 16
     IMPACT_ENERGY = 17
     TORQUE_DELAY = 18
+    HOLD = 19
 
 
 _POSITION_ROWS, _AXIS_ROWS = 3, 5
@@ -69,9 +70,12 @@ FADE_SHARE = 0.5
 """Share of the speed that its cap may take within the delay of the torques: with the damping of the laws, more than
 2 is unstable."""
 
-_HEAVIEST = 1500.0
+_CALMING = 10.0
+"""By how much sooner after a start than the push all that does not push has full authority: what a stop held must not
+fall, and the first torque is that of gravity to the last bit."""
+_HEAVIEST = 500.0
 """Mass, kg, that counts for a point at most: heavier ones are so near a joint's axis that they have hardly any way, and
-would hold the whole arm. One of 100 kg may press by 7 % harder for it."""
+would hold the whole arm. One of 100 kg may press by 20 % harder for it."""
 _PRESSING_SWEEPS, _WHOLE_STEPS = 6, 2
 """Of `pressing_share`, which finds 1 % too little force then, in one case of a hundred 5 %; and of them so many are
 whole steps, where half ones take longer to come near, but do not go back and forth."""
@@ -480,7 +484,8 @@ def body_shares(
     """Greatest speed as a share of the permitted one, and the share of the driving torque that is permitted.
 
     The speed is that of joints and points, or by the energy ½ ẋᵀ W⁻¹ ẋ, the most that a surface takes up that stops a
-    point. The force is the most that a body feels that blocks a point, see `pressing_share`.
+    point. The force is the most that a body feels that blocks a point, see `pressing_share`; but what a start accepts
+    may always be held: a push within the hand-over limits of all joints is permitted.
 
     Parameters
     ----------
@@ -497,9 +502,11 @@ def body_shares(
     """
     speed_share, share, most = 0.0, 1.0, constants[Constant.TIP_FORCE, 0]
     delay = constants[Constant.TORQUE_DELAY, 0] / FADE_SHARE
-    ending = 0.0
+    ending, holding = 0.0, 1.0
     for i in range(len(q)):
-        ending = max(ending, 0.5 * abs(driving[0, i] + driving[1, i]) / constants[Constant.TORQUE_RATE, i])
+        torque = abs(driving[0, i] + driving[1, i])
+        ending = max(ending, 0.5 * torque / constants[Constant.TORQUE_RATE, i])
+        holding = min(holding, constants[Constant.HOLD, i] / max(torque, 1e-9))
     leading = solve_upper(mass_factor, solve_lower(mass_factor, driving[0]))
     speeding = leading + solve_upper(mass_factor, solve_lower(mass_factor, driving[1]))
     slowing = solve_upper(mass_factor, solve_lower(mass_factor, braking))
@@ -529,7 +536,7 @@ def body_shares(
         if norm(push) > 1e-3:
             for row in range(3):
                 mobility[row, row] += 1.0 / _HEAVIEST
-            share = min(share, pressing_share(push, drag, mobility, most))
+            share = min(share, max(pressing_share(push, drag, mobility, most), holding))
     return speed_share, max(share, 0.0)
 
 
@@ -703,7 +710,7 @@ def tracking_torque(
     q, v
         (n,), rad and rad/s.
     authority
-        Share of the push that is permitted; damping always has all of its own.
+        Share of the push that is permitted, see `_CALMING`.
     previous, period
         The last torque sent (n,), N m, and the time since then, s.
     found
@@ -727,7 +734,8 @@ def tracking_torque(
         driving[1, i] += pushing[i]
     found[6], push = body_shares(constants, placements, links, points, q, v, factor, driving, braking)
     torque, share = np.empty(n), constants[Constant.GRAVITY_SHARE]
+    push, calming = authority * push, min(_CALMING * authority, 1.0)
     for i in range(n):
-        torque[i] = authority * push * (driving[0, i] + driving[1, i]) + braking[i] + rest[i] + stopping[i]
-        torque[i] += bias[i] - (1.0 - share[i]) * gravity[i]
+        torque[i] = push * (driving[0, i] + driving[1, i]) + share[i] * gravity[i]
+        torque[i] += calming * (braking[i] + rest[i] + stopping[i] + bias[i] - gravity[i])
     return limit_torque(constants, torque, previous, period)

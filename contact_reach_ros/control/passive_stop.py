@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -41,22 +40,12 @@ class PassiveStop:
     mass matrix, so that every motion of the arm is damped alike. No estimate of an external torque enters.
     """
 
-    def __init__(self, arm: Arm, constants: Array, hold: Sequence[float] | None = None) -> None:
-        """Make one that has not begun.
-
-        Parameters
-        ----------
-        arm
-            That is stopped.
-        constants
-            Of `make_constants`.
-        hold
-            Yield torques (n,), N m; by default the arm's limits at hand-over.
-        """
+    def __init__(self, arm: Arm, constants: Array) -> None:
+        """Make one that has not begun, of the arm that is stopped and its `make_constants`."""
         self._constants = constants
         # Whether the tool is there or not, and heavier than it should be: the arm is no lighter than without.
         self._bare = None if arm.bare is None else RobotModel(arm.bare)
-        self._most: Array = np.array(arm.default("handover_thresholds") if hold is None else hold)
+        self._most: Array = constants[Constant.HOLD]
         self._spread: Array | None = None
         """(n, 2), rad, from the joints to the anchors of the hold and of the carried tension; None before the first."""
         self._stiffness: Array = np.eye(arm.n)

@@ -74,8 +74,8 @@ class CommandGuard:
         self.stop_reason = ""
         self._arm = arm
         self._model = RobotModel(arm)
-        constants = make_constants(arm, limits=settings.limits, supervision=settings.stop, period=period)
-        self._stop = PassiveStop(arm, constants, hold)
+        constants = make_constants(arm, limits=settings.limits, supervision=settings.stop, period=period, hold=hold)
+        self._stop = PassiveStop(arm, constants)
         self._period = period
         self._hold_ns = round(max(HOLD_AFTER, 2.0 * period) * NANOSECONDS)
         self._stop_ns = round(STOP_AFTER * NANOSECONDS)

@@ -16,7 +16,7 @@ NORMALS = np.random.default_rng(0).normal(size=(20_000, 3))
 NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
 
 
-def by_pinocchio(model: RobotModel, q, v, driving, braking) -> tuple[float, float]:
+def by_pinocchio(constants, model: RobotModel, q, v, driving, braking) -> tuple[float, float]:
     """The two shares from Pinocchio's Jacobians, point by point."""
     arm, joints, data = model.arm, model.pinocchio, model.pinocchio.createData()
     inverse = np.linalg.inv(model.mass_matrix)
@@ -39,9 +39,10 @@ def by_pinocchio(model: RobotModel, q, v, driving, braking) -> tuple[float, floa
             lead, fold = jacobian @ inverse @ driving[0], jacobian @ inverse @ driving[1]
             # A smooth surface that blocks the point; the force is in proportion to the acceleration along its normal.
             pushed, dragged = NORMALS @ (lead + fold), NORMALS @ jacobian @ inverse @ braking
-            permitted = LIMITS.tip_force * (np.einsum("nx,xy,ny->n", NORMALS, mobility, NORMALS) + 1.0 / 1500.0)
+            permitted = LIMITS.tip_force * (np.einsum("nx,xy,ny->n", NORMALS, mobility, NORMALS) + 1.0 / 500.0)
             share = min(share, ((permitted - dragged) / pushed)[pushed > 0.0].min())
-    return speed, min(max(share, 0.0), max((1.0 + FADE - speed) / FADE, 0.0))
+    holding = (constants[Constant.HOLD] / np.abs(driving[0] + driving[1])).min()
+    return speed, min(max(share, holding, 0.0), max((1.0 + FADE - speed) / FADE, 0.0))
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "panda", "ur10"])
@@ -57,7 +58,7 @@ def test_they_hold_at_every_end_of_a_capsule(name):
         braking = random.normal(size=arm.n) * 0.01 * arm.torque_limits
         factor, _ = factorise(model.mass_matrix, 0.0)
         found = body_shares(constants, *body_of(model), q, v, factor, driving, braking)
-        speed, share = by_pinocchio(model, q, v, driving, braking)
+        speed, share = by_pinocchio(constants, model, q, v, driving, braking)
         np.testing.assert_allclose(found[0], speed, rtol=1e-3, atol=1e-4)
         assert share - 0.01 <= found[1] <= 1.12 * share + 1e-3
 
@@ -92,11 +93,12 @@ def test_a_surface_may_be_turned_to_where_the_point_is_heavy():
 def test_a_point_near_an_axis_does_not_hold_the_arm(lever, torque):
     """One joint of 0.3 kg m²."""
     constants = make_constants(load_arm("iiwa14"))[:, :1]
+    constants[Constant.HOLD] = 0.0
     none, factor = np.zeros(1), np.array([[np.sqrt(0.3)]])
     placement, driving = np.eye(3, 4), np.array([[torque], [0.0]])
     found = body_shares(constants, placement, none, np.array([[lever, 0.0, 0.0]]), none, none, factor, driving, none)
     acceleration, mobility, shares = torque / 0.3 * lever, lever**2 / 0.3, np.cos(np.linspace(0.0, 1.57, 10_000))
-    force = (acceleration * shares / (mobility * shares**2 + 1.0 / 1500.0)).max()
+    force = (acceleration * shares / (mobility * shares**2 + 1.0 / 500.0)).max()
     assert found[1] == pytest.approx(min(60.0 / force, 1.0), rel=2e-2) and found[1] > 0.25
 
 

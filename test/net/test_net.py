@@ -19,7 +19,7 @@ EARLY = 60
 """Samples during which the first plans are in force."""
 
 
-OUTPUTS = {"controller": 1474, "observer": 2856}
+OUTPUTS = {"controller": 3541, "observer": 4222}
 """Outputs of the bag that can be compared."""
 
 
