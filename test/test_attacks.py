@@ -10,6 +10,9 @@ from attack_rig import ABDOMEN, ARM, CHEST, HAND, Ahead, Rig
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.arm import JointState
+from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.control.constants import body_of
+from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import ControllerSettings, SupervisionSettings
 from contact_reach_ros.errors import StopCode
 from contact_reach_ros.observer.observer import EXCESS_FORCE
@@ -414,3 +417,34 @@ class TestStatesThatLie:
         rig.go(0.25 * DOWN)
         rig.run(2.0)
         assert "lbr_A7" in rig.reason and rig.mode == "stopped" and rig.rest() < 0.02
+
+
+class TestForeignPlanners:
+    @pytest.mark.parametrize(
+        ("q", "normal", "way"),
+        [
+            slowly((1.091, 0.02, 1.562, -1.317, -1.975, -0.272, 1.373), (0.934, -0.273, -0.23), (-156, -74, -5)),
+            ((-0.874, -0.869, -0.44, 0.006, 0.388, 0.445, 0.013), (0.533, -0.726, -0.434), (21, 49, -165)),
+        ],
+    )
+    def test_an_oblique_hand_near_a_toggle_is_pressed_little_harder_than_a_straight_one(self, q, normal, way):
+        """x_d stays 17 mm ahead. With the mass in the direction of the push, the hand felt 219 and 194 N.
+
+        The two postures of 1500 where a smooth surface feels most.
+        """
+        rig = Rig(np.array(q), Ahead())
+        rig.settle()
+        body = body_of(RobotModel(ARM))
+        model, link = RobotModel(ARM), ARM.link_names[int(body.links[7])]
+        rig.add_body(link, body.points[7], np.array(normal), 0.0005, HAND)
+        model.update(rig.stack.state.q, rig.stack.state.v)
+        rotation, ahead = model.rotation.copy(), 1e-4 * np.array(way)
+        for tick in range(1500):
+            state = rig.stack.state
+            if tick % 100 == 0 and not rig.reason:
+                model.update(state.q, state.v)
+                place = (model.position + ahead)[None]
+                plan = References(state.stamp_ns, (300_000_000,), place, rotation[None], state.q[None])
+                rig.stack.controller.follow(plan)
+            rig.step()
+        assert 40.0 < max(rig.forces) < 110.0
