@@ -262,7 +262,7 @@ def _later(place: str) -> Callable[..., int | None]:
 def _demo(**options: Any) -> int:
     from contact_reach_ros.bringup.demo import DemoOptions, run_demo
 
-    return run_demo(DemoOptions(**options))
+    return run_demo(DemoOptions.from_mapping(options, "demo"))
 
 
 def _goto(x: float, y: float, z: float, **options: Any) -> int:

@@ -243,9 +243,12 @@ class Arm:
 def checked_array(name: str, values: object, shape: tuple[int, ...]) -> Array:
     """Return a read-only copy of `values` with the expected shape.
 
-    Raises `InputError` if the shape differs or a value is not finite; the message starts with `name`.
+    Raises `InputError` if they are no numbers, the shape differs or one is not finite; the message starts with `name`.
     """
-    array = np.array(values, dtype=float)
+    array = np.array(values)
+    if array.dtype.kind not in "iuf":
+        raise InputError(f"{name}: expected numbers, got {values!r}")
+    array = array.astype(float)
     if array.shape != shape:
         raise InputError(f"{name}: expected shape {shape}, got {array.shape}")
     if not np.isfinite(array).all():

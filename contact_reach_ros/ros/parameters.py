@@ -16,7 +16,9 @@ from contact_reach_ros.arm import Arm
 from contact_reach_ros.arms import arm_in, known_parameters, make_settings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import (
+    NAME_RULE,
     NODES,
+    ROS_NAME,
     Sections,
     Setting,
     check_node_name,
@@ -101,11 +103,16 @@ def without_parameters(arguments: Sequence[str]) -> list[str]:
 
 
 def namespace_in(arguments: Sequence[str]) -> str:
-    """Namespace into which a command line puts a node, as ROS reads it: the first one holds."""
+    """Namespace into which a command line puts a node, as ROS reads it: the first one holds.
+
+    Raises `SettingsError` if it is none.
+    """
     for option, rule in itertools.pairwise(arguments):
         target, _, namespace = rule.partition(":=")
         owner, _, what = target.rpartition(":")
         if option in ("-r", "--remap") and what == "__ns" and owner in ("", *NODES):
+            if namespace != "/" and not ROS_NAME.fullmatch(namespace):
+                raise SettingsError(f"{option} {rule}: expected a name {NAME_RULE}")
             return namespace
     return "/"
 

@@ -56,11 +56,12 @@ def run(node_class: type[ManagedNode], arguments: Sequence[str]) -> int:
     try:
         arguments = with_description(arguments, node_class.NAME)
         check_arguments(arguments, node_class.NAME, node_class.SECTIONS)
+        namespace = namespace_in(arguments)
         # Behind the user's: of the remappings of a name the first one holds.
         initialise([*arguments, "--ros-args", "-r", "/clock:=clock"])
         node_class.ARGUMENTS = arguments
         node = node_class()
-        if node.get_namespace() != namespace_in(arguments):
+        if node.get_namespace() != namespace:
             raise SettingsError(f"ROS put the node into {node.get_namespace()}; expected one -r __ns:=/NAMESPACE")
         return _serve(node)
     except ContactReachError as error:

@@ -51,9 +51,9 @@ def load_scene(name: str, arm: Arm | str | None = None, seed: int = 0, target: A
     Raises
     ------
     SceneError
-        As `read_scene` and `make_scene`, and if the seed is negative.
+        As `read_scene` and `make_scene`, and if the seed is no integer from 0 on.
     """
-    if seed < 0:
+    if not isinstance(seed, int | np.integer) or seed < 0:
         raise SceneError(f"seed = {seed!r}: expected an integer from 0 on")
     arm = arm if isinstance(arm, Arm) else load_arm() if arm is None else load_arm(arm)
     return make_scene(read_scene(str(name)), arm, seed, target)
@@ -70,7 +70,7 @@ def parse_target(text: str) -> Array | None:
     if not text.strip():
         return None
     try:
-        return checked_array("target", text.split(), (3,))
+        return checked_array("target", [float(word) for word in text.split()], (3,))
     except (InputError, ValueError) as error:
         raise SceneError(f"target '{text}': expected three finite numbers 'x y z' in m") from error
 
@@ -110,7 +110,9 @@ def make_scene(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None = 
         kind = SettingsError if isinstance(error, SettingsError) else SceneError
         place = f"{np.round(frame.origin, 3).tolist()} m in {arm.base_frame}, z up"
         where = "" if own is arm else f" (places are in the arm's scene frame, at {place})"
-        raise kind(f"{file.source or file.name}: {error}{where}") from error
+        # What is wrong with a given target is not the file's.
+        instead = "" if target is None else f" (with the target {np.array(target).tolist()} in place of the scene's)"
+        raise kind(f"{file.source or file.name}: {error}{instead}{where}") from error
 
 
 def _warn_of_openings(file: SceneFile, arm: Arm) -> None:

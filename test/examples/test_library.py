@@ -25,6 +25,7 @@ def stack(scene) -> cr.Stack:
     [
         (lambda scene: cr.load_scene("bal"), "scene 'bal' is unknown; expected one of authors_ball, "),
         (lambda scene: cr.load_scene("ball", seed=-1), "seed = -1: expected an integer from 0 on"),
+        (lambda scene: cr.load_scene("ball", seed=1.5), "seed = 1.5: expected an integer from 0 on"),
         (lambda scene: cr.load_scene("ball", target=[np.nan, 0.0, 0.0]), "goal: position"),
         (lambda scene: cr.Stack(scene, seed=1.5), "seed = 1.5: expected an integer"),
         (lambda scene: cr.Stack(scene, period=0.0015), "period = 1.5 ms"),

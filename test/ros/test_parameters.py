@@ -6,7 +6,7 @@ from stack_helpers import ros
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.nodes.observer import ObserverNode
-from contact_reach_ros.ros.parameters import overrides, without_parameters
+from contact_reach_ros.ros.parameters import namespace_in, overrides, without_parameters
 from contact_reach_ros.ros.process import initialise
 
 TEXT = """
@@ -52,6 +52,12 @@ def test_a_node_has_them_in_its_namespace(arguments, monkeypatch):
 
 def test_ros_gets_the_rest_of_the_command_line(arguments):
     assert without_parameters(arguments) == ["observer", "--ros-args", "-r", "__ns:=/left"]
+
+
+@pytest.mark.parametrize("namespace", ["/left/", "/1x", "/a b"])
+def test_a_namespace_that_is_none_is_refused(namespace):
+    with pytest.raises(SettingsError, match=f"__ns:={namespace}: expected a name of letters"):
+        namespace_in(["observer", "--ros-args", "-r", f"__ns:={namespace}"])
 
 
 @pytest.mark.parametrize("last", [["-p"], ["--params-file"], ["-p", "momentum.gain"], ["-p", ":=3"]])

@@ -112,7 +112,7 @@ class TestWhatTheFilePlaces:
 
     def test_commanded_target_in_the_ball_is_refused_with_how_deep(self):
         inside = np.add(self.CENTER, (0.0, 0.0, -0.07))
-        with pytest.raises(SceneError, match=r"ball\.yaml: target .* lies 30\.0 mm inside the ball .* move"):
+        with pytest.raises(SceneError, match=r"ball\.yaml: target .* lies 30\.0 mm inside the ball .* in place of the"):
             make_scene(self.file(center=self.CENTER), ARM, 0, inside)
 
     def test_hand_in_the_fixture_at_the_target_is_refused(self):
