@@ -361,7 +361,7 @@ def parameters_in(file: Path, node_name: str, namespace: str = "/") -> dict[str,
     """
     found: dict[str, Any] = {}
     holds: dict[bool, dict[str, bool]] = {False: {}, True: {}}
-    """Of the sections with the node's own name, and of wildcards, each by itself."""
+    """Of the sections with the node's own name, and of wildcards, which in a namespace may be for another stack."""
     for pattern, content in read_yaml(file).items():
         if not isinstance(content, dict) or "ros__parameters" not in content:
             raise SettingsError(f"{file}: '{pattern}' has no ros__parameters; expected '<node>: ros__parameters: ...'")
@@ -383,12 +383,11 @@ def parameters_in(file: Path, node_name: str, namespace: str = "/") -> dict[str,
                 own[name] = value
             found |= own
     for is_wildcard, those in holds.items():
-        if those and not any(those.values()):
+        if those and not any(those.values()) and (namespace == "/" or not is_wildcard):
             name = "/**" if is_wildcard else node_name
-            here = f"{namespace.rstrip('/')}/{name.lstrip('/')}"
             raise SettingsError(
                 f"{file}: {', '.join(those)}: the {node_name} is in namespace {namespace}, where none of these "
-                f"sections holds; expected '{name}', which holds in every namespace, or '{here}'"
+                f"sections holds; expected '{name}', which holds in every namespace, or to start in theirs"
             )
     return found
 

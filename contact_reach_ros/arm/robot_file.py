@@ -55,7 +55,7 @@ def _content(file: Path) -> bytes:
         raise SettingsError(f"{file}: cannot be read ({error.strerror}); {expected}") from error
 
 
-def parse_xml(content: bytes, source: Path | str) -> Element:
+def parse_xml(content: bytes | str, source: Path | str) -> Element:
     """The root element; prefixes stay parts of names, so that undeclared ones do no harm.
 
     Raises `SettingsError`, beginning with `source`, if it is none.

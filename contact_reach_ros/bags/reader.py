@@ -182,7 +182,8 @@ class BagReader:
                 name, schema = channel.topic, file.schemas.get(channel.schema_id)
                 kind, expected = schema.name if schema else "no type", TYPES.get(name.removeprefix("/"))
                 if expected not in (None, kind):
-                    self._notes.append(f"topic '{name}': is {kind}, expected {expected}; it is left out")
+                    note = f"topic '{name}': is {kind}, expected {expected}; it is left out"
+                    self._notes += [note] * (note not in self._notes)
                     file.channels[number] = dataclasses.replace(channel, topic=f"{name} ({kind})")
 
     def _read_topics(self) -> Mapping[str, RecordedTopic]:

@@ -478,7 +478,9 @@ def _oddities(columns: Mapping[str, Column]) -> Iterator[str]:
             yield f"{name}: {column.back} stamps are older than the one before; curves follow the stamps"
     states = columns["joint_states"]
     joints = states.names[: len(states.names) // 3]
-    for name in columns.keys() - {"sim/contacts"}:
+    for name in columns:
+        if name == "sim/contacts":
+            continue
         is_unknown = np.isnan(columns[name].values[:, : len(joints)])
         # Grippers have joint states of their own on the same topic.
         foreign = int(is_unknown.all(axis=1).sum()) if name == "joint_states" else 0

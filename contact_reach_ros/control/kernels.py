@@ -77,7 +77,7 @@ _HEAVIEST = 500.0
 """Mass, kg, that counts for a point at most: heavier ones are so near a joint's axis that they have hardly any way, and
 would hold the whole arm. One of 100 kg may press by 20 % harder for it."""
 _PRESSING_SWEEPS, _WHOLE_STEPS = 6, 2
-"""Of `pressing_share`, which finds 1 % too little force then, in one case of a hundred 5 %; and of them so many are
+"""Of `pressing_share`, which finds 1 % too little force then, in one case of a hundred 10 %; and of them so many are
 whole steps, where half ones take longer to come near, but do not go back and forth."""
 _YIELD_SWEEPS = 8
 """Times that `yielded` goes through the joints."""
@@ -397,9 +397,9 @@ def unit(vector: Array) -> Array:
 def pressing_share(push: Array, drag: Array, mobility: Array, most: float) -> float:
     """Greatest share s, 0 to 1, of a push with which a smooth body feels at most `most`, however its surface is turned.
 
-    A surface with normal n that stops a point, accelerated by a = s push + drag, feels nᵀa / nᵀWn. That is greatest
-    where W n is along a / nᵀa + n, which is iterated beside s, from between W⁻¹ a and the normal along which the point
-    is heaviest.
+    A surface with normal n that stops a point, accelerated by a = s push, plus drag where that relieves it, feels
+    nᵀa / nᵀWn. That is greatest where W n is along a / nᵀa + n, which is iterated beside s, from between W⁻¹ a and the
+    normal along which the point is heaviest.
 
     Parameters
     ----------
@@ -425,9 +425,10 @@ def pressing_share(push: Array, drag: Array, mobility: Array, most: float) -> fl
         normal[row] = along[row] + side * heavy[row]
     fill(normal, unit(normal))
     for sweep in range(_PRESSING_SWEEPS):
-        ahead = 0.0
+        # Damping only relieves: by itself it may press harder, and is not to be pushed against.
+        ahead, relieving = 0.0, dot(normal, drag) < 0.0
         for row in range(3):
-            total[row] = share * push[row] + drag[row]
+            total[row] = share * push[row] + (drag[row] if relieving else 0.0)
             ahead += normal[row] * total[row]
         if ahead < 1e-9:
             return share
@@ -439,8 +440,8 @@ def pressing_share(push: Array, drag: Array, mobility: Array, most: float) -> fl
         fill(normal, unit(normal))
         pushed, moved = dot(normal, push), dot(normal, times(mobility, normal))
         if pushed < 1e-9:
-            return 1.0
-        share = min(max((most * moved - dot(normal, drag)) / pushed, 0.0), 1.0)
+            return share
+        share = min(share, (most * moved - min(dot(normal, drag), 0.0)) / pushed)
     return share
 
 
@@ -507,8 +508,7 @@ def body_shares(
         torque = abs(driving[0, i] + driving[1, i])
         ending = max(ending, 0.5 * torque / constants[Constant.TORQUE_RATE, i])
         holding = min(holding, constants[Constant.HOLD, i] / max(torque, 1e-9))
-    leading = solve_upper(mass_factor, solve_lower(mass_factor, driving[0]))
-    speeding = leading + solve_upper(mass_factor, solve_lower(mass_factor, driving[1]))
+    speeding = solve_upper(mass_factor, solve_lower(mass_factor, driving[0] + driving[1]))
     slowing = solve_upper(mass_factor, solve_lower(mass_factor, braking))
     for i in range(len(q)):
         to_share = np.sign(v[i]) / constants[Constant.JOINT_SPEED, i]

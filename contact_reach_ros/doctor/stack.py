@@ -26,7 +26,7 @@ from sensor_msgs.msg import JointState
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.doctor.arm import JointRecord
 from contact_reach_ros.doctor.findings import Finding, Verdict, failed, graded
-from contact_reach_ros.drives.settings import FRANKA, FRANKA_STATES
+from contact_reach_ros.drives.settings import FRANKA, FRANKA_STATES, LBR
 from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.safety_state import ERROR, read_level
@@ -291,9 +291,15 @@ def topic(graph: Graph, wanted: Topic) -> Finding:
         found += f"; {deaf}"
         fix = "let the subscription ask for less (best effort, volatile), or the publisher offer more "
         fix += "(reliable, transient local)"
-    elif wanted in _NEEDED_TOPICS and not publishers and not (wanted is topics.COMMANDS and graph.adapter):
+    elif wanted in _NEEDED_TOPICS and not publishers and not _is_elsewhere(graph, wanted):
         fix = f"start {' or '.join(OWNERS[wanted.name])}, or remap your topic to this name"
     return Finding(Verdict.FAIL if fix else Verdict.PASS, found, fix)
+
+
+def _is_elsewhere(graph: Graph, wanted: Topic) -> bool:
+    """Whether the adapter's commands have another topic."""
+    other = graph.adapter == LBR or f"{graph.effort_controller}/commands" != topics.COMMANDS.name
+    return wanted is topics.COMMANDS and other
 
 
 def incompatible(publishers: Sequence[Endpoint], subscriptions: Sequence[Endpoint]) -> str:

@@ -158,7 +158,7 @@ class EffortTarget:
         self._switch_controller("deactivate")
 
     def check_reset(self) -> None:
-        """Raise `InputError` while the controller is not active, unless `resume` activates it."""
+        """Raise `InputError` while the controller is not active, where `resume` would not activate it after a stop."""
         if self._switch is None and self._inactive:
             raise InputError(self._inactive)
 
@@ -197,9 +197,9 @@ class EffortTarget:
         self.idle = "" if state == _ACTIVE else f"{name} is {state}"
         if self.idle:
             others = [each.name for each in found.values() if each.state == _ACTIVE and self._is_of_arm(each)]
-            instead = f", and {', '.join(others)} commands the drive" if others else ""
+            instead = f"; the drive is commanded by {', '.join(others)}" if others else ""
             switch = f"--activate {name}" + (f" --deactivate {' '.join(others)}" if others else "")
-            inactive = f"{self.idle}{instead}: ros2 control switch_controllers {switch}"
+            inactive = f"{self.idle}{instead}: ros2 control switch_controllers -c {self._manager} {switch}"
         # At once: the loop reads it in another thread.
         self._inactive = inactive
 
@@ -219,6 +219,6 @@ class EffortTarget:
     def _on_switched(self, act: str, future: Future) -> None:
         logger, name = self._node.get_logger(), self._name
         if future.result() is not None and future.result().ok:
-            logger.info(f"{act}d {name}")
+            logger.info(f"{self._manager} was asked to {act} {name}")
         else:
             logger.error(f"{self._manager} did not {act} {name}; see its log")

@@ -83,7 +83,7 @@ def read_driver(description: str, has_commanded: bool) -> LbrDriver:
         If it is none of the known ones, or set so that torques cannot be commanded; the message names the setting.
     """
     try:
-        hardware = parse_xml(description.encode(), "robot_description").iter("hardware")
+        hardware = parse_xml(description, "robot_description").iter("hardware")
     except SettingsError as error:
         raise InputError(str(error)) from error
     found = next((each for each in hardware if (each.findtext("plugin") or "").strip() == PLUGIN), None)

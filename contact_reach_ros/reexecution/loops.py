@@ -272,6 +272,8 @@ class _ControllerLoop(Loop):
             self.plans.take_postures(message)
         if self.uncertain_until_ns == _NEVER_NS and queue.accepted > accepted:
             self.uncertain_until_ns = nanoseconds(message.header.stamp)
+        elif not message.points:
+            self.uncertain_until_ns = 0  # all plans are withdrawn
 
 
 class _ObserverLoop(Loop):

@@ -36,9 +36,9 @@ def by_pinocchio(constants, model: RobotModel, q, v, driving, braking) -> tuple[
             mobility = jacobian @ inverse @ jacobian.T
             energy = 0.5 * motion @ np.linalg.solve(mobility + 1e-9 * np.eye(3), motion)
             speed = max(speed, fast / LIMITS.body_speed, np.sqrt(energy / IMPACT_ENERGY))
-            lead, fold = jacobian @ inverse @ driving[0], jacobian @ inverse @ driving[1]
+            push = jacobian @ inverse @ (driving[0] + driving[1])
             # A smooth surface that blocks the point; the force is in proportion to the acceleration along its normal.
-            pushed, dragged = NORMALS @ (lead + fold), NORMALS @ jacobian @ inverse @ braking
+            pushed, dragged = NORMALS @ push, np.minimum(NORMALS @ jacobian @ inverse @ braking, 0.0)
             permitted = LIMITS.tip_force * (np.einsum("nx,xy,ny->n", NORMALS, mobility, NORMALS) + 1.0 / 500.0)
             share = min(share, ((permitted - dragged) / pushed)[pushed > 0.0].min())
     holding = (constants[Constant.HOLD] / np.abs(driving[0] + driving[1])).min()
@@ -55,7 +55,7 @@ def test_they_hold_at_every_end_of_a_capsule(name):
         v = 0.2 * v
         model.update(q, v)
         driving = random.normal(size=(2, arm.n)) * (0.1 * arm.torque_limits, 0.02 * arm.torque_limits)
-        braking = random.normal(size=arm.n) * 0.01 * arm.torque_limits
+        braking = random.normal(size=arm.n) * random.choice([0.01, 0.1]) * arm.torque_limits
         factor, _ = factorise(model.mass_matrix, 0.0)
         found = body_shares(constants, *body_of(model), q, v, factor, driving, braking)
         speed, share = by_pinocchio(constants, model, q, v, driving, braking)
@@ -71,7 +71,7 @@ def test_damping_that_balances_the_push_leaves_it_whole():
     """A steady motion is not slowed down; the same push of an arm that is blocked is."""
     assert pressing([150.0, 0.0, 0.0], [-150.0, 0.0, 0.0]) == 1.0
     assert pressing([150.0, 0.0, 0.0], [0.0, 0.0, 0.0]) == pytest.approx(0.4, rel=1e-3)
-    assert pressing([150.0, 0.0, 0.0], [0.0, 90.0, 0.0]) < 0.4
+    assert pressing([150.0, 0.0, 0.0], [0.0, 90.0, 0.0]) == pytest.approx(0.4, rel=1e-2)
 
 
 def test_a_surface_may_be_turned_to_where_the_point_is_heavy():

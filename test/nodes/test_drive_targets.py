@@ -222,8 +222,8 @@ def test_nothing_passes_while_another_controller_commands_the_drive():
     target = effort.EffortTarget(node, ARM, EffortSettings(ask_joints=False), True)
     target.look()
     assert target.problem == (
-        "effort_controller is inactive, and trajectories commands the drive: ros2 control switch_controllers "
-        "--activate effort_controller --deactivate trajectories"
+        "effort_controller is inactive; the drive is commanded by trajectories: ros2 control switch_controllers -c "
+        "controller_manager --activate effort_controller --deactivate trajectories"
     )
     node.answer = listed("active", "inactive")
     target.look()
