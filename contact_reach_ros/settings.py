@@ -384,10 +384,10 @@ def parameters_in(file: Path, node_name: str, namespace: str = "/") -> dict[str,
             found |= own
     for is_wildcard, those in holds.items():
         if those and not any(those.values()) and (namespace == "/" or not is_wildcard):
-            name = "/**" if is_wildcard else node_name
+            name, here = ("/**", "/*") if is_wildcard else (node_name, f"{namespace.rstrip('/')}/{node_name}")
             raise SettingsError(
                 f"{file}: {', '.join(those)}: the {node_name} is in namespace {namespace}, where none of these "
-                f"sections holds; expected '{name}', which holds in every namespace, or to start in theirs"
+                f"sections holds; expected '{name}', which holds in every namespace, or '{here}'"
             )
     return found
 
