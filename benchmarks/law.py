@@ -58,4 +58,4 @@ class ImpedanceLaw:
         driving, braking, rest = kernels.law_torques(
             self._constants, factor, rows[:, :-3], rows[:, -3], rows[:, -2], rows[:, -1], posture_error, v
         )
-        return driving.sum(axis=0) + braking + rest
+        return driving + braking + rest

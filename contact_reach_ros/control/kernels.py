@@ -73,12 +73,9 @@ FADE_SHARE = 0.5
 _CALMING = 10.0
 """By how much sooner after a start than the push all that does not push has full authority: what a stop held must not
 fall, and the first torque is that of gravity to the last bit."""
-_HEAVIEST = 500.0
+_HEAVIEST = 200.0
 """Mass, kg, that counts for a point at most: heavier ones are so near a joint's axis that they have hardly any way, and
-would hold the whole arm. One of 100 kg may press by 20 % harder for it."""
-_PRESSING_SWEEPS, _WHOLE_STEPS = 6, 2
-"""Of `pressing_share`, which finds 1 % too little force then, in one case of a hundred 10 %; and of them so many are
-whole steps, where half ones take longer to come near, but do not go back and forth."""
+would hold the whole arm. With 250, three times the usual friction slows the arm down."""
 _YIELD_SWEEPS = 8
 """Times that `yielded` goes through the joints."""
 
@@ -385,21 +382,13 @@ def norm(vector: Array) -> float:
 
 
 @_compiled()
-def unit(vector: Array) -> Array:
-    """The vector (3,) at length 1."""
-    scaled, length = np.empty(3), norm(vector)
-    for row in range(3):
-        scaled[row] = vector[row] / length
-    return scaled
-
-
-@_compiled()
 def pressing_share(push: Array, drag: Array, mobility: Array, most: float) -> float:
-    """Greatest share s, 0 to 1, of a push with which a smooth body feels at most `most`, however its surface is turned.
+    """Share s, 0 to 1, of a push with which a smooth body feels at most `most`, however its surface is turned.
 
-    A surface with normal n that stops a point, accelerated by a = s push, plus drag where that relieves it, feels
-    nᵀa / nᵀWn. That is greatest where W n is along a / nᵀa + n, which is iterated beside s, from between W⁻¹ a and the
-    normal along which the point is heaviest.
+    A surface with normal n that stops a point, accelerated by a, feels nᵀa / nᵀWn. That is at most √(aᵀW⁻¹a λ) by the
+    greatest eigenvalue λ of W⁻¹, and λ at most the mean of the three plus √2 times their deviation: exact for a push
+    along the one heavy direction, or where all are equal, and elsewhere at most about twice too much. Of the damping
+    counts as much, from nothing to all, as relieves most: a = s push + r drag.
 
     Parameters
     ----------
@@ -410,39 +399,18 @@ def pressing_share(push: Array, drag: Array, mobility: Array, most: float) -> fl
     most
         N.
     """
-    inverse, share = inverse_of(mobility), 1.0
-    heavy, total, normal = np.ones(3), np.empty(3), np.empty(3)
+    inverse, squares = inverse_of(mobility), 0.0
     for row in range(3):
-        total[row] = push[row] + drag[row]
-    bound = inverse[0, 0] + inverse[1, 1] + inverse[2, 2]
-    if dot(total, times(inverse, total)) * bound < most * most:
-        return 1.0
-    for _ in range(3):
-        fill(heavy, unit(times(inverse, heavy)))
-    side = 0.5 if dot(heavy, total) >= 0.0 else -0.5
-    along = unit(times(inverse, total))
-    for row in range(3):
-        normal[row] = along[row] + side * heavy[row]
-    fill(normal, unit(normal))
-    for sweep in range(_PRESSING_SWEEPS):
-        # Damping only relieves: by itself it may press harder, and is not to be pushed against.
-        ahead, relieving = 0.0, dot(normal, drag) < 0.0
-        for row in range(3):
-            total[row] = share * push[row] + (drag[row] if relieving else 0.0)
-            ahead += normal[row] * total[row]
-        if ahead < 1e-9:
-            return share
-        for row in range(3):
-            total[row] = total[row] / ahead + normal[row]
-        fill(along, unit(times(inverse, total)))
-        for row in range(3):
-            normal[row] = along[row] + (normal[row] if sweep >= _WHOLE_STEPS else 0.0)
-        fill(normal, unit(normal))
-        pushed, moved = dot(normal, push), dot(normal, times(mobility, normal))
-        if pushed < 1e-9:
-            return share
-        share = min(share, (most * moved - min(dot(normal, drag), 0.0)) / pushed)
-    return share
+        squares += dot(inverse[row], inverse[row])
+    mean = (inverse[0, 0] + inverse[1, 1] + inverse[2, 2]) / 3.0
+    limit = most * most / (mean + 2.0 * np.sqrt(max(squares / 6.0 - 0.5 * mean * mean, 0.0)))
+    pressing = times(inverse, push)
+    square, product, rest = dot(push, pressing), min(dot(drag, pressing), 0.0), dot(drag, times(inverse, drag))
+    # With part of the damping; all of it is not enough where the share is greater.
+    across = max(square - product * product / max(rest, 1e-12), 0.0)
+    if product == 0.0 or limit * product * product <= across * rest * rest:
+        return min(np.sqrt(limit / max(across, 1e-12)), 1.0)
+    return min((np.sqrt(product * product - square * (rest - limit)) - product) / square, 1.0)
 
 
 @_compiled()
@@ -497,7 +465,7 @@ def body_shares(
     mass_factor
         Cholesky factor L of M, (n, n).
     driving
-        Torques (2, n), N m, of the stiffness of law (1), and of that of law (2) with the push away from limits.
+        Torque (n,), N m, of the stiffness of both laws and of the push away from limits.
     braking
         Torque (n,), N m, of damping.
     """
@@ -505,10 +473,10 @@ def body_shares(
     delay = constants[Constant.TORQUE_DELAY, 0] / FADE_SHARE
     ending, holding = 0.0, 1.0
     for i in range(len(q)):
-        torque = abs(driving[0, i] + driving[1, i])
+        torque = abs(driving[i])
         ending = max(ending, 0.5 * torque / constants[Constant.TORQUE_RATE, i])
         holding = min(holding, constants[Constant.HOLD, i] / max(torque, 1e-9))
-    speeding = solve_upper(mass_factor, solve_lower(mass_factor, driving[0] + driving[1]))
+    speeding = solve_upper(mass_factor, solve_lower(mass_factor, driving))
     slowing = solve_upper(mass_factor, solve_lower(mass_factor, braking))
     for i in range(len(q)):
         to_share = np.sign(v[i]) / constants[Constant.JOINT_SPEED, i]
@@ -533,7 +501,7 @@ def body_shares(
                 part, rises, slows = hard, 0.5 * dot(momentum, push) / energy, 0.5 * dot(momentum, drag) / energy
             speed_share = max(speed_share, part)
             share = min(share, faded(part, part * rises, part * slows, delay, ending))
-        if norm(push) > 1e-3:
+        if share > holding and norm(push) > 1e-3:
             for row in range(3):
                 mobility[row, row] += 1.0 / _HEAVIEST
             share = min(share, max(pressing_share(push, drag, mobility, most), holding))
@@ -551,9 +519,7 @@ def law_torques(
     posture_error: Array,
     v: Array,
 ) -> tuple[Array, Array, Array]:
-    """τ of law (3) without the C + g of law (1) as the sum of four torques (n,), N m.
-
-    They are the stiffness of law (1) and that of law (2), as rows of one array (2, n), the damping, and the drift.
+    """τ of law (3) without the C + g of law (1) as the sum of three torques (n,), N m: stiffness, damping, and drift.
 
     (1) + (2) as Jᵀ Λ (ẍ_cmd − J M⁻¹ τ₀) + τ₀, since Nᵀ = I − Jᵀ Λ J M⁻¹.
 
@@ -580,21 +546,18 @@ def law_torques(
             for k in range(n):
                 product += rows[row, k] * rows[column, k]
             mobility[row, column] = mobility[column, row] = product
-    driving = np.empty((2, n))
-    fill(driving[1], -constants[Constant.NULL_STIFFNESS] * posture_error)
+    driving = -constants[Constant.NULL_STIFFNESS] * posture_error
     braking = -constants[Constant.NULL_DAMPING] * v
-    pull, drag = times(rows, solve_lower(mass_factor, driving[1])), times(rows, solve_lower(mass_factor, braking))
-    wanted = np.empty((4, m))
+    pull, drag = times(rows, solve_lower(mass_factor, driving)), times(rows, solve_lower(mass_factor, braking))
+    wanted = np.empty((3, m))
     for row in range(m):
-        wanted[0, row] = -constants[Constant.TASK_STIFFNESS, 0] * error[row]
-        wanted[1, row] = -pull[row]
-        wanted[2, row] = -constants[Constant.TASK_DAMPING, 0] * twist[row] - drag[row]
-        wanted[3, row] = -drift[row]
+        wanted[0, row] = -constants[Constant.TASK_STIFFNESS, 0] * error[row] - pull[row]
+        wanted[1, row] = -constants[Constant.TASK_DAMPING, 0] * twist[row] - drag[row]
+        wanted[2, row] = -drift[row]
     wrenches = solve_bounded(mobility, wanted, constants[Constant.SINGULARITY_FLOOR, 0])
-    fill(driving[0], times(jacobian.T, wrenches[0]))
-    fill(driving[1], driving[1] + times(jacobian.T, wrenches[1]))
-    braking += times(jacobian.T, wrenches[2])
-    return driving, braking, times(jacobian.T, wrenches[3])
+    driving += times(jacobian.T, wrenches[0])
+    braking += times(jacobian.T, wrenches[1])
+    return driving, braking, times(jacobian.T, wrenches[2])
 
 
 @_compiled()
@@ -731,11 +694,11 @@ def tracking_torque(
     )
     pushing, stopping = repulsion_torques(constants, mass_matrix, q, v)
     for i in range(n):
-        driving[1, i] += pushing[i]
+        driving[i] += pushing[i]
     found[6], push = body_shares(constants, placements, links, points, q, v, factor, driving, braking)
     torque, share = np.empty(n), constants[Constant.GRAVITY_SHARE]
     push, calming = authority * push, min(_CALMING * authority, 1.0)
     for i in range(n):
-        torque[i] = push * (driving[0, i] + driving[1, i]) + share[i] * gravity[i]
+        torque[i] = push * driving[i] + share[i] * gravity[i]
         torque[i] += calming * (braking[i] + rest[i] + stopping[i] + bias[i] - gravity[i])
     return limit_torque(constants, torque, previous, period)

@@ -115,7 +115,7 @@ class Observer:
         self.contact: Contact | None = None
         self.updates = 0
         self.order = StampOrder()
-        self.sight = Sight(arm, period, blind_after)
+        self.sight = Sight(period, blind_after)
         self._plausibility = PlausibilityCheck(arm, settings.plausibility, budget.contact_thresholds, period)
         self._torque_check = TorqueCheck(arm, period)
         self._locator = ContactLocator(model, budget.contact_thresholds)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from contact_reach_ros.arm import BLIND_AFTER, REST_SPEED, Arm, Array, check_fresh
+from contact_reach_ros.arm import BLIND_AFTER, REST_SPEED, Array, check_fresh
 from contact_reach_ros.errors import InputError, StopCode, StopReason
 from contact_reach_ros.timing import GAP_PERIODS, NANOSECONDS, PAUSE
 
@@ -86,7 +86,7 @@ class Sight:
         Compares the stamps of the states with the nominal rate.
     """
 
-    def __init__(self, arm: Arm, period: float, blind_after: float) -> None:
+    def __init__(self, period: float, blind_after: float) -> None:
         """`period`: nominal time between joint states, s; `blind_after`: time without a usable one, s."""
         self.blind = ""
         self.doubt = "no joint state with a torque yet"

@@ -13,6 +13,8 @@ _MARKS = 30
 """Greatest number of events marked on the timeline and listed."""
 _LABELS = {"stop": "STOP", "goal": "goal", "contact": ""}
 """Labels of the kinds of events on the timeline, the most important first."""
+_ROOM = 0.18
+"""Share of the timeline that a label needs for itself."""
 _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 _STEPS = {"− 1 tick": -1, "+ 1 tick": 1, "+ 10 ticks": 10}
 
@@ -76,8 +78,12 @@ class BagTab:
         gui, recording = server.gui, player.recording
         duration = max(round(recording.duration, 3), 0.001)
         marked = [event for kind in _LABELS for event in recording.events if event.kind == kind][:_MARKS]
-        marks = tuple((min(round(event.time, 3), duration), _LABELS[event.kind]) for event in marked)
-        self._slider: Any = gui.add_slider("Time (s)", 0.0, duration, 0.001, round(player.time, 3), marks=marks)
+        marks: list[tuple[float, str]] = []
+        for event in marked:
+            time = min(round(event.time, 3), duration)
+            is_free = all(abs(time - other) > _ROOM * duration for other, label in marks if label)
+            marks.append((time, _LABELS[event.kind] if is_free else ""))
+        self._slider: Any = gui.add_slider("Time (s)", 0.0, duration, 0.001, round(player.time, 3), marks=tuple(marks))
         self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
         speed = gui.add_dropdown("Speed (s per s)", _SPEEDS, initial_value="1")
         step = gui.add_button_group("Step", tuple(_STEPS))

@@ -16,11 +16,24 @@ NORMALS = np.random.default_rng(0).normal(size=(20_000, 3))
 NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
 
 
+HEAVIEST = 200.0
+
+
+def bounded(push, drag, inverse) -> float:
+    """Share of a push with which the bound on the force holds, by trying shares, and how much of the damping counts."""
+    values = np.linalg.eigvalsh(inverse)
+    shares, parts = np.linspace(0.0, 1.0, 4001), np.linspace(0.0, 1.0, 401)[:, None]
+    squares = shares**2 * (push @ inverse @ push) + 2.0 * shares * parts * (push @ inverse @ drag)
+    squares = (squares + parts**2 * (drag @ inverse @ drag)).min(axis=0)
+    fits = squares * (values.mean() + np.sqrt(2.0) * values.std()) <= LIMITS.tip_force**2
+    return shares[np.argmin(fits) - 1] if not fits.all() else 1.0
+
+
 def by_pinocchio(constants, model: RobotModel, q, v, driving, braking) -> tuple[float, float]:
     """The two shares from Pinocchio's Jacobians, point by point."""
     arm, joints, data = model.arm, model.pinocchio, model.pinocchio.createData()
     inverse = np.linalg.inv(model.mass_matrix)
-    speed, share = float((np.abs(v) / (JOINT_SHARE * arm.velocity_limits)).max()), 1.0
+    speed, share, most = float((np.abs(v) / (JOINT_SHARE * arm.velocity_limits)).max()), 1.0, 1.0
     pin.computeJointJacobians(joints, data, q)
     for capsule in arm.capsules:
         joint = joints.getJointId(arm.joint_names[capsule.link - 1])
@@ -36,13 +49,16 @@ def by_pinocchio(constants, model: RobotModel, q, v, driving, braking) -> tuple[
             mobility = jacobian @ inverse @ jacobian.T
             energy = 0.5 * motion @ np.linalg.solve(mobility + 1e-9 * np.eye(3), motion)
             speed = max(speed, fast / LIMITS.body_speed, np.sqrt(energy / IMPACT_ENERGY))
-            push = jacobian @ inverse @ (driving[0] + driving[1])
+            push = jacobian @ inverse @ driving
+            drag, weighed = jacobian @ inverse @ braking, mobility + np.eye(3) / HEAVIEST
+            share = min(share, bounded(push, drag, np.linalg.inv(weighed)))
             # A smooth surface that blocks the point; the force is in proportion to the acceleration along its normal.
-            pushed, dragged = NORMALS @ push, np.minimum(NORMALS @ jacobian @ inverse @ braking, 0.0)
-            permitted = LIMITS.tip_force * (np.einsum("nx,xy,ny->n", NORMALS, mobility, NORMALS) + 1.0 / 500.0)
-            share = min(share, ((permitted - dragged) / pushed)[pushed > 0.0].min())
-    holding = (constants[Constant.HOLD] / np.abs(driving[0] + driving[1])).min()
-    return speed, min(max(share, holding, 0.0), max((1.0 + FADE - speed) / FADE, 0.0))
+            pushed, dragged = NORMALS @ push, np.minimum(NORMALS @ drag, 0.0)
+            permitted = LIMITS.tip_force * np.einsum("nx,xy,ny->n", NORMALS, weighed, NORMALS)
+            most = min(most, ((permitted - dragged) / pushed)[pushed > 0.0].min())
+    holding = (constants[Constant.HOLD] / np.abs(driving)).min()
+    assert share <= 1.001 * most
+    return speed, min(max(share, holding), max((1.0 + FADE - speed) / FADE, 0.0))
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "panda", "ur10"])
@@ -54,13 +70,11 @@ def test_they_hold_at_every_end_of_a_capsule(name):
     for q, v in zip(*random_states(8, 7, arm), strict=True):
         v = 0.2 * v
         model.update(q, v)
-        driving = random.normal(size=(2, arm.n)) * (0.1 * arm.torque_limits, 0.02 * arm.torque_limits)
+        driving = random.normal(size=arm.n) * 0.1 * arm.torque_limits
         braking = random.normal(size=arm.n) * random.choice([0.01, 0.1]) * arm.torque_limits
         factor, _ = factorise(model.mass_matrix, 0.0)
         found = body_shares(constants, *body_of(model), q, v, factor, driving, braking)
-        speed, share = by_pinocchio(constants, model, q, v, driving, braking)
-        np.testing.assert_allclose(found[0], speed, rtol=1e-3, atol=1e-4)
-        assert share - 0.01 <= found[1] <= 1.12 * share + 1e-3
+        np.testing.assert_allclose(found, by_pinocchio(constants, model, q, v, driving, braking), rtol=3e-3, atol=1e-4)
 
 
 def pressing(push, drag, mobility=(1.0, 1.0, 1.0)):
@@ -70,8 +84,8 @@ def pressing(push, drag, mobility=(1.0, 1.0, 1.0)):
 def test_damping_that_balances_the_push_leaves_it_whole():
     """A steady motion is not slowed down; the same push of an arm that is blocked is."""
     assert pressing([150.0, 0.0, 0.0], [-150.0, 0.0, 0.0]) == 1.0
-    assert pressing([150.0, 0.0, 0.0], [0.0, 0.0, 0.0]) == pytest.approx(0.4, rel=1e-3)
-    assert pressing([150.0, 0.0, 0.0], [0.0, 90.0, 0.0]) == pytest.approx(0.4, rel=1e-2)
+    assert pressing([150.0, 0.0, 0.0], [0.0, 0.0, 0.0]) == pytest.approx(0.4)
+    assert pressing([150.0, 0.0, 0.0], [0.0, 90.0, 0.0]) == pytest.approx(0.4)
 
 
 def test_a_surface_may_be_turned_to_where_the_point_is_heavy():
@@ -79,7 +93,8 @@ def test_a_surface_may_be_turned_to_where_the_point_is_heavy():
     angles = np.linspace(0.0, 0.5 * np.pi, 10_000)[:-1]
     worst = (np.cos(angles) / (np.cos(angles) ** 2 + 0.01 * np.sin(angles) ** 2)).max()
     assert worst > 5.0
-    assert pressing([60.0, 0.0, 0.0], [0.0, 0.0, 0.0], (1.0, 0.01, 1.0)) == pytest.approx(1.0 / worst, rel=1e-2)
+    assert 0.5 <= worst * pressing([60.0, 0.0, 0.0], [0.0, 0.0, 0.0], (1.0, 0.01, 1.0)) <= 1.0
+    assert pressing([0.0, 0.9, 0.0], [0.0, 0.0, 0.0], (1.0, 0.01, 1.0)) == pytest.approx(60.0 / 90.0)
 
 
 @pytest.mark.parametrize(
@@ -95,11 +110,11 @@ def test_a_point_near_an_axis_does_not_hold_the_arm(lever, torque):
     constants = make_constants(load_arm("iiwa14"))[:, :1]
     constants[Constant.HOLD] = 0.0
     none, factor = np.zeros(1), np.array([[np.sqrt(0.3)]])
-    placement, driving = np.eye(3, 4), np.array([[torque], [0.0]])
+    placement, driving = np.eye(3, 4), np.array([torque])
     found = body_shares(constants, placement, none, np.array([[lever, 0.0, 0.0]]), none, none, factor, driving, none)
     acceleration, mobility, shares = torque / 0.3 * lever, lever**2 / 0.3, np.cos(np.linspace(0.0, 1.57, 10_000))
-    force = (acceleration * shares / (mobility * shares**2 + 1.0 / 500.0)).max()
-    assert found[1] == pytest.approx(min(60.0 / force, 1.0), rel=2e-2) and found[1] > 0.25
+    force = (acceleration * shares / (mobility * shares**2 + 1.0 / HEAVIEST)).max()
+    assert 0.4 <= found[1] / min(60.0 / force, 1.0) <= 1.0 and found[1] > 0.25
 
 
 def speeds_at_the_cap(late, horizon):
