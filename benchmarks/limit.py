@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks.output import Report, command_line, given, machine, run_command, table, write_report
 from benchmarks.scaling import TimedSolver, make_timed
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.planning.lanes.compiled import Function, by_lanes
+from contact_reach_ros.planning.lanes.compiled import Compiled, Function
 from contact_reach_ros.planning.lanes.graph import Number
 from contact_reach_ros.planning.lanes.trace import Trace
 from contact_reach_ros.planning.settings import AUTO, PlanningSettings
@@ -89,7 +89,7 @@ def _operations(solver: TimedSolver, lanes: int) -> float:
 def _evaluations(solver: TimedSolver) -> Callable[[], float]:
     """A function that measures the CPU time, s, of one step's evaluations."""
     runs = [
-        (partial(jax.jit(by_lanes(function, AUTO)), problem, candidates), times)
+        (partial(jax.jit(Compiled(function, AUTO)), problem, candidates), times)
         for function, problem, candidates, times in _functions(solver)
     ]
 

@@ -19,7 +19,7 @@ from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.planning.cost import ReferenceSpace
 from contact_reach_ros.planning.detour import Detours
-from contact_reach_ros.planning.lanes.compiled import by_lanes
+from contact_reach_ros.planning.lanes.compiled import Compiled
 from contact_reach_ros.planning.obstacles import ObstacleReader, check_motion, nearest_bodies
 from contact_reach_ros.planning.plan import Held, Plan, ReferenceTrajectory, Request
 from contact_reach_ros.planning.prediction import MAX_PIECES, Predictor, followed, hold_at, pieces_between, reference_at
@@ -119,7 +119,7 @@ class RecedingHorizonPlanner:
         self._space = self._make_space(arm, settings, gains)
         self._predictor = Predictor(self._space.objective.system, self._advance)
         self._solver = solver(self._space.cost, len(self._space.bounds), settings)
-        self._evaluate = jax.jit(by_lanes(self._roll_out, settings.backend))
+        self._evaluate = jax.jit(Compiled(self._roll_out, settings.backend))
         self.memory: Memory | None = None
         self._number = 0
         self._last_check_s = 0.0

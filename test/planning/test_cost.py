@@ -26,7 +26,7 @@ from contact_reach_ros.arm import link_frames
 from contact_reach_ros.control.settings import IMPACT_ENERGY, LimitSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.cost import Objective
-from contact_reach_ros.planning.lanes.compiled import by_lanes
+from contact_reach_ros.planning.lanes.compiled import Compiled
 from contact_reach_ros.planning.settings import AUTO, PlanningSettings
 from contact_reach_ros.planning.solver.hybrid import slopes
 from contact_reach_ros.planning.solver.solver import CostFunction
@@ -117,7 +117,7 @@ def costs_and_slopes(cost) -> Iterator[Callable[[Problem, jax.Array], tuple[jax.
 @pytest.fixture(scope="module")
 def solver_slopes(cost) -> Callable[[tuple[Problem, jax.Array], np.ndarray], jax.Array]:
     """As the solver computes them."""
-    return jax.jit(by_lanes(functools.partial(slopes, cost), AUTO))
+    return jax.jit(Compiled(functools.partial(slopes, cost), AUTO))
 
 
 @pytest.mark.parametrize("touching", [False, True])
@@ -128,7 +128,7 @@ def test_the_solvers_gradient_agrees_with_differences_of_the_solvers_cost(cost, 
     obstacle = ball(beside_forearm(-0.005) if touching else FAR_BALL)
     problem = make_problem(HOME, FLANGE + np.array([0.2, 0.1, -0.1]), obstacle, orientation=0.1)
     slope = np.asarray(solver_slopes((problem, points[:, :1]), np.eye(39, dtype=np.float32)))
-    costs, step = jax.jit(by_lanes(cost, AUTO)), np.eye(39, dtype=np.float32) / 100.0
+    costs, step = jax.jit(Compiled(cost, AUTO)), np.eye(39, dtype=np.float32) / 100.0
     ahead, behind = (np.asarray(costs(problem, points + each), np.float64) for each in (step, -step))
     difference = (ahead - behind) / 0.02
     np.testing.assert_allclose(slope, difference, rtol=0, atol=2e-3 * np.abs(difference).max())

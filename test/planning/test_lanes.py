@@ -10,7 +10,7 @@ import pytest
 from planning_helpers import FAR_BALL, FLANGE, HOME, SMALL, ball, beside_forearm, make_objective, make_problem
 
 from contact_reach_ros.planning.lanes import compiled, trace
-from contact_reach_ros.planning.lanes.compiled import by_lanes
+from contact_reach_ros.planning.lanes.compiled import Compiled
 from contact_reach_ros.planning.settings import AUTO, BACKENDS, XLA
 from contact_reach_ros.planning.solver.hybrid import slopes
 
@@ -21,7 +21,11 @@ GIVEN = {"weights": np.linspace(0.5, 1.5, 5, dtype=np.float32), "offset": np.flo
 
 def both(function, given=GIVEN, candidates=CANDIDATES, source=None):
     """What the function returns by lanes and by XLA."""
-    return [np.asarray(jax.jit(by_lanes(function, backend, source))(given, candidates)) for backend in BACKENDS]
+    results = []
+    for backend in BACKENDS:
+        traced = Compiled(source, backend) if source else None
+        results.append(np.asarray(jax.jit(Compiled(function, backend, traced))(given, candidates)))
+    return results
 
 
 def with_loops(given, candidates):
@@ -66,7 +70,7 @@ def test_results_are_any_tree_of_arrays():
         offset = jnp.broadcast_to(given["offset"], (2, candidates.shape[1]))
         return {"steps": steps, "same": (offset, candidates), "known": jnp.ones_like(offset[:, None])}
 
-    by_lane, by_xla = (jax.jit(by_lanes(function, backend))(GIVEN, CANDIDATES) for backend in BACKENDS)
+    by_lane, by_xla = (jax.jit(Compiled(function, backend))(GIVEN, CANDIDATES) for backend in BACKENDS)
     jax.tree.map(lambda own, other: np.testing.assert_allclose(own, other, rtol=1e-6, atol=1e-7), by_lane, by_xla)
     assert by_lane["known"].shape == (2, 1, 21) and by_lane["steps"][1].shape == (5, 21)
 
@@ -134,7 +138,7 @@ def test_not_a_number_comes_through():
 
 
 def test_the_same_candidates_have_the_same_bits_wherever_they_are():
-    function = jax.jit(by_lanes(with_functions, AUTO))
+    function = jax.jit(Compiled(with_functions, AUTO))
     first = np.asarray(function(GIVEN, CANDIDATES))
     np.testing.assert_array_equal(first, np.asarray(function(GIVEN, CANDIDATES)))
     np.testing.assert_array_equal(first[::-1], np.asarray(function(GIVEN, CANDIDATES[:, ::-1])))
@@ -153,8 +157,8 @@ def test_an_operation_that_it_does_not_know_is_left_to_xla_with_one_warning(capl
     def sorting(given, candidates):
         return jnp.sort(candidates, axis=0)[1] + given["offset"]
 
-    function = by_lanes(sorting, AUTO)
-    derivative = by_lanes(functools.partial(slopes, sorting), AUTO, sorting)
+    function = Compiled(sorting, AUTO)
+    derivative = Compiled(functools.partial(slopes, sorting), AUTO, function)
     with caplog.at_level(logging.WARNING):
         values = [np.asarray(jax.jit(function)(GIVEN, CANDIDATES[:, :count])) for count in (21, 8)]
         jax.jit(derivative)((GIVEN, CANDIDATES[:, :1]), CANDIDATES)
@@ -177,5 +181,5 @@ def test_what_is_too_large_is_left_to_xla_with_one_warning(caplog, monkeypatch, 
 
 
 def test_with_xla_nothing_is_compiled_by_lanes(monkeypatch):
-    monkeypatch.setattr(compiled, "_target", lambda *_: pytest.fail("compiled by lanes"))
-    jax.jit(by_lanes(lambda given, candidates: candidates.sum(axis=0), XLA))(GIVEN, CANDIDATES)
+    monkeypatch.setattr(compiled, "_compile", lambda *_: pytest.fail("compiled by lanes"))
+    jax.jit(Compiled(lambda given, candidates: candidates.sum(axis=0), XLA))(GIVEN, CANDIDATES)

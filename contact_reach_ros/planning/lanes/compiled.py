@@ -30,8 +30,8 @@ Function = Callable[[Any, jax.Array], Any]
 """Any tree of arrays (..., B), of what is the same for all candidates, any tree of arrays, and of candidates (n, B)."""
 
 
-def by_lanes(function: Function, backend: str, source: Function | None = None) -> Function:
-    """The function, compiled for the CPU that it runs on; programs of JAX may call it, but not differentiate it.
+class Compiled:
+    """A function, compiled for the CPU that it runs on; programs of JAX may call it, but not differentiate it.
 
     It stays what it is, for XLA to compile, on another device, with the backend "xla", and, with a warning, where it
     has an operation that the compiler does not know or is too large for it.
@@ -47,43 +47,57 @@ def by_lanes(function: Function, backend: str, source: Function | None = None) -
         quarter of the time: if its derivative is in the cache, the function is not traced at all.
     """
 
-    @functools.cache
-    def program(tree: Any, shapes: tuple[tuple[int, ...], ...], size: int) -> tuple[str, Any] | None:
-        given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes])
-        candidate = jax.ShapeDtypeStruct((size, 1), jnp.float32)
-        trace = lambda: _traced(function, given, candidate)  # noqa: E731
-        jaxpr, results = _traced(source, given[0], candidate) if source else trace()
-        try:
-            return _target(jaxpr, (lambda: trace()[0]) if source else None), results
-        except UnknownOperationError as error:
-            _warn_once(str(error))
-            return None
+    def __init__(self, function: Function, backend: str, source: Compiled | None = None) -> None:
+        self._function = function
+        self._backend = backend
+        self._source = source
+        self._found = functools.cache(self._find)
 
-    def call(given: Any, candidates: jax.Array) -> Any:
-        if backend == XLA or jax.default_backend() != "cpu":
-            return function(given, candidates)
-        leaves, tree = jax.tree.flatten(given)
-        leaves = [jnp.asarray(leaf, jnp.float32) for leaf in leaves]
-        found = program(tree, tuple(leaf.shape for leaf in leaves), len(candidates))
+    def __call__(self, given: Any, candidates: jax.Array) -> Any:
+        """What the function returns for what it is given and candidates (n, B)."""
+        if self._backend == XLA or jax.default_backend() != "cpu":
+            return self._function(given, candidates)
+        found = self._target(given, len(candidates))
         if found is None:
-            return function(given, candidates)
-        name, shapes = found[0], [each.shape[:-1] for each in jax.tree.leaves(found[1])]
+            return self._function(given, candidates)
+        name, results = found
+        leaves = [jnp.asarray(leaf, jnp.float32) for leaf in jax.tree.leaves(given)]
+        shapes = [each.shape[:-1] for each in jax.tree.leaves(results)]
         count, ends = candidates.shape[1], np.cumsum([math.prod(shape) for shape in shapes])
         filled = jnp.pad(candidates, ((0, 0), (0, -count % _lanes())))
         rows = jax.ShapeDtypeStruct((int(ends[-1]), filled.shape[1]), jnp.float32)
         parts = jnp.split(jax.ffi.ffi_call(name, rows)(*leaves, filled)[:, :count], ends[:-1])
         arrays = [part.reshape(*shape, count) for part, shape in zip(parts, shapes, strict=True)]
-        return jax.tree.unflatten(jax.tree.structure(found[1]), arrays)
+        return jax.tree.unflatten(jax.tree.structure(results), arrays)
 
-    return call
+    def _target(self, given: Any, size: int) -> tuple[str, Any] | None:
+        """The name under which XLA finds the compiled function, and the shapes of its results; None without lanes.
 
+        `given` may be shapes; `size` is that of a candidate.
+        """
+        leaves, tree = jax.tree.flatten(given)
+        return self._found(tree, tuple(jax.ShapeDtypeStruct(np.shape(leaf), jnp.float32) for leaf in leaves), size)
 
-def _traced(function: Function, given: Any, candidate: Any) -> tuple[Any, Any]:
-    """The closed jaxpr of a function, and the shapes of its results.
+    def _find(self, tree: Any, leaves: tuple[Any, ...], size: int) -> tuple[str, Any] | None:
+        given = jax.tree.unflatten(tree, leaves)
+        try:
+            if self._source is None:
+                jaxpr, results = self._trace(given, size)
+                return _compile(_digest(jaxpr), lambda: jaxpr), results
+            found = self._source._target(given[0], size)
+            return found and (_compile(f"derivative of {found[0]}", lambda: self._trace(given, size)[0]), found[1])
+        except UnknownOperationError as error:
+            _warn_once(str(error))
+            return None
 
-    JAX keeps it as long as the object that it traced, which is a passing one here.
-    """
-    return jax.make_jaxpr(functools.partial(function), return_shape=True)(given, candidate)
+    def _trace(self, given: Any, size: int) -> tuple[Any, Any]:
+        """The closed jaxpr, and the shapes of its results.
+
+        JAX keeps it as long as the object that it traced, which is a passing one here: it would keep constants, too, in
+        the precision that they have now.
+        """
+        candidate = jax.ShapeDtypeStruct((size, 1), jnp.float32)
+        return jax.make_jaxpr(functools.partial(self._function), return_shape=True)(given, candidate)
 
 
 @functools.cache
@@ -96,15 +110,15 @@ _engines: dict[str, llvm.ExecutionEngine] = {}
 """Hold the code that XLA may call until the process ends, by its name."""
 
 
-def _target(jaxpr: Any, derivative: Callable[[], Any] | None) -> str:
-    """The name under which XLA finds a compiled closed jaxpr, or its derivative; its last argument is one candidate."""
-    versions = f"{_compiler()} {llvmlite.__version__} {jax.__version__} {_cpu()} {derivative is not None}"
-    key = hashlib.sha256(versions.encode())
-    _digest(jaxpr, key)
-    name = f"contact_reach_{key.hexdigest()[:32]}"
+def _compile(digest: str, make: Callable[[], Any]) -> str:
+    """The name under which XLA finds a compiled closed jaxpr; its last argument is one candidate.
+
+    `digest` stands for what it computes; `make` returns the jaxpr.
+    """
+    versions = f"{_compiler()} {llvmlite.__version__} {jax.__version__} {_cpu()} {digest}"
+    name = f"contact_reach_{hashlib.sha256(versions.encode()).hexdigest()[:32]}"
     if name not in _engines:
-        own = derivative or (lambda: jaxpr)
-        code = kept((name,), lambda: _machine().emit_object(llvm.parse_assembly(_module(own()))))
+        code = kept((name,), lambda: _machine().emit_object(llvm.parse_assembly(_module(make()))))
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
@@ -121,11 +135,12 @@ def _module(jaxpr: Any) -> str:
     return module(Trace(jaxpr), _lanes(), len(jaxpr.jaxpr.invars) - 1, (int(major), int(minor)))
 
 
-def _digest(closed: Any, key: Any) -> None:
-    """All that a closed jaxpr computes, and its own rules of differentiation, into a hash.
+def _digest(closed: Any) -> str:
+    """Hash of all that a closed jaxpr computes, and of its own rules of differentiation.
 
     It takes a tenth of the time that the jaxpr's text takes.
     """
+    key = hashlib.sha256()
     names: dict[Any, int] = {}
 
     def name(variable: Any) -> object:
@@ -149,10 +164,11 @@ def _digest(closed: Any, key: Any) -> None:
             add(str(rule), [np.asarray(each).tolist() for each in rule.consts])
         for option, value in equation.params.items():
             if hasattr(value, "jaxpr"):
-                _digest(value, key)
+                add(_digest(value))
             elif not callable(value):
                 add(option, value)
     add([name(each) for each in jaxpr.outvars])
+    return key.hexdigest()
 
 
 def _rule(equation: Any) -> Any:

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from contact_reach_ros.planning.lanes.compiled import by_lanes
+from contact_reach_ros.planning.lanes.compiled import Compiled
 from contact_reach_ros.planning.settings import PAPER, PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, fresh, sample, shift_distribution, update
 from contact_reach_ros.planning.solver.solver import CostFunction, Solution
@@ -71,8 +71,8 @@ class HybridSolver:
     shift = staticmethod(shift_distribution)
 
     def __init__(self, cost: CostFunction, n: int, settings: PlanningSettings) -> None:
-        self._cost = by_lanes(cost, settings.backend)
-        self._slopes = by_lanes(functools.partial(slopes, cost), settings.backend, cost)
+        self._cost = Compiled(cost, settings.backend)
+        self._slopes = Compiled(functools.partial(slopes, cost), settings.backend, self._cost)
         self._settings = settings
         self._seed = settings.seed
         self.max_steps = settings.max_steps
