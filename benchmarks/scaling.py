@@ -1,7 +1,8 @@
 """How a solver step and its program grow with the problem, and how reading obstacles grows with their number.
 
 Each row changes one thing of the shipped settings. The problem is that of the scene's start, CPU times are the least of
-several, of one thread. `python -m benchmarks.population` has more candidates, on a GPU too.
+several, of one thread; two threads are compared by the clock. `python -m benchmarks.population` has more candidates, on
+a GPU too.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ import functools
 import math
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from benchmarks.output import Report, command_line, given, machine, run_command, say, table, write_report
@@ -21,10 +24,11 @@ from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.observer.budget import load_budget
+from contact_reach_ros.planning.lanes.compiled import Compiled
 from contact_reach_ros.planning.obstacles import ObstacleReader, check_motion, nearest_bodies
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
-from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.settings import AUTO, PlanningSettings
 from contact_reach_ros.planning.solver.cma_es import Distribution
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
 from contact_reach_ros.planning.solver.solver import CostFunction, Solution
@@ -47,6 +51,7 @@ SEEN = (1, 20, 500, 8000, 20000)
 """Numbers of spheres that are read, of which the program takes 12."""
 _BOXES, _POSTURES = 20, 13
 _STEPS, _REPEATS = 20, 5
+_TURNS = 200
 
 
 class TimedSolver(HybridSolver):
@@ -94,8 +99,11 @@ def bench_scaling(scene: str = "ball", of: Sequence[str] = tuple(VARIANTS), file
             say(f"{name} {value}: {rows[-1]['step_ms']:.2f} ms a step, ready in {rows[-1]['ready_s']:.0f} s")
     print(table(["changed", "to", "step, ms", "ready, s"], map(_cells, rows)) + "\n")
     read = _reading()
-    print(table(["obstacles", "ms"], [[name, f"{value:.2f}"] for name, value in read.items()]))
+    print(table(["obstacles", "ms"], [[name, f"{value:.2f}"] for name, value in read.items()]) + "\n")
+    threads = _threads(scene)
+    print(table(["candidates", "1 thread, ms", "2 threads, ms", "ratio"], map(_thread_cells, threads)))
     report: Report = {"bench": "scaling", "scene": scene, "machine": machine(), "rows": rows, "reading_ms": read}
+    report["threads"] = threads
     write_report(report, file)
     return report
 
@@ -112,6 +120,26 @@ def _step(scene_name: str, name: str, value: Any) -> Report:
     ready_s = time.process_time() - began - _REPEATS * _STEPS * solver.step_s
     planner.plan(request)
     return {"step_ms": 1e3 * solver.step_s, "ready_s": ready_s}
+
+
+def _threads(scene_name: str) -> list[Report]:
+    """Time, ms, of the cost of candidates in one thread, and of one half of them in each of two, in turns."""
+    planner, request, solver = make_timed(scene_name, load_arm(), PlanningSettings(), 1)
+    planner.plan(request)
+    cost = functools.partial(jax.jit(Compiled(solver.cost, AUTO)), solver.problem)
+    rows = []
+    with ThreadPoolExecutor(2) as pool:
+        for count in VARIANTS["population"]:
+            points = np.random.default_rng(0).uniform(-1.0, 1.0, (solver.size, count)).astype(np.float32)
+            shares = [[points], np.split(points, 2, axis=1)]
+            spent: list[list[float]] = [[], []]
+            for _ in range(_TURNS):
+                for share, times in zip(shares, spent, strict=True):
+                    began = time.perf_counter()
+                    list(pool.map(lambda part: cost(part).block_until_ready(), share))
+                    times.append(1e3 * (time.perf_counter() - began))
+            rows.append({"candidates": count, "ms": [min(times) for times in spent]})
+    return rows
 
 
 def make_timed(
@@ -183,6 +211,11 @@ def _least(run: Callable[[], object]) -> float:
 
 def _cells(row: Report) -> list[str]:
     return [row["changed"], str(row["to"]), f"{row['step_ms']:.2f}", f"{row['ready_s']:.0f}"]
+
+
+def _thread_cells(row: Report) -> list[str]:
+    one, two = row["ms"]
+    return [str(row["candidates"]), f"{one:.2f}", f"{two:.2f}", f"{one / two:.2f}"]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

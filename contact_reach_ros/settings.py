@@ -43,6 +43,10 @@ class ArmDefaults(Protocol):
     def task(self) -> str:
         """The task with most rows that the joints can hold."""
 
+    @property
+    def torque_limits(self) -> Any:
+        """(n,) Nm."""
+
     def default(self, setting: str) -> tuple[float, ...]:
         """Default of a setting with one value per joint."""
 
@@ -407,7 +411,7 @@ def check_node_name(name: str, source: str) -> None:
 def check_values(values: Mapping[str, Any], known: Mapping[str, Setting], source: str) -> dict[str, Value]:
     """Check parameters of a node by full name, one by one, against the `known` ones, and return them in their types.
 
-    ROS's own parameters are left to ROS.
+    ROS's own parameters are left to ROS, and sections without a key are empty.
 
     Raises
     ------
@@ -423,7 +427,7 @@ def check_values(values: Mapping[str, Any], known: Mapping[str, Setting], source
             raise SettingsError(f"{source}: unknown key '{name}'; {hint}")
         elif name == "use_sim_time" and not isinstance(value, bool):
             raise SettingsError(f"{source}: {name} = {value!r}; expected true or false")
-        elif name not in _OF_ROS and not name.startswith("qos_overrides."):
+        elif name not in _OF_ROS and not (value is None and any(each.startswith(f"{name}.") for each in known)):
             raise SettingsError(unknown_key(name, known, source))
     return checked
 

@@ -48,6 +48,8 @@ def test_the_packages_own_file_passes():
         ),
         ({"planner": {"contact_budget": "own.yaml"}}, "planner: unknown key 'contact_budget'; set it for the observer"),
         ({"/**": {"momentum": {"gain": 9.0}}}, "driver: unknown key 'momentum.gain'; set it for the observer"),
+        ({"observer": {"qos_overrides": {"/tf": {"depth": 1}}}}, r"unknown key 'qos_overrides./tf.depth'"),
+        ({"observer": {"momentun": None}}, "observer: unknown key 'momentun'; did you mean 'momentum"),
         ({"controller": {"period": 0.1}}, "controller: unknown key 'period'; set it for the planner"),
         ({"controller": {"impedance": {"null_damping": 50.0}}}, "null_damping = 50 are not stable at 1000 Hz"),
         ({"planner": {"state_rate": 500.0}}, "state_rate = .*1000.0 for the controller.* 500.0 for the planner"),
@@ -93,6 +95,15 @@ def test_numbers_are_read_as_ros_reads_them(tmp_path):
     file = tmp_path / "own.yaml"
     file.write_text("observer: {ros__parameters: {momentum: {gain: 4.0e1}, safety: }}")
     assert parameters_in(file, "observer")["momentum.gain"] == 40.0
+
+
+def test_a_budget_that_no_torque_exceeds_is_refused(written, tmp_path):
+    budget = tmp_path / "budget.yaml"
+    budget.write_text(f"handover_thresholds: {[8.0] * 6 + [50.0]}")
+    with pytest.raises(
+        SettingsError, match=r"handover_thresholds = .*; expected no more than the joints' torque limits"
+    ):
+        check_parameters(written(observer={"contact_budget": str(budget)}), STACK)
 
 
 def test_what_is_given_on_top_of_the_file_counts(written):
@@ -198,6 +209,7 @@ MOMENTUM = "observer: {ros__parameters: {momentum: {%s}}}"
         ("observer:\r\n  ros__parameters:\r\n    momentum:\r\n      gain: 40.0\r\n", "gain", 40.0),
         ("/observer: {ros__parameters: {momentum.gain: 40.0}}", "gain", 40.0),
         (MOMENTUM % "gain: 4e1", "gain", 40.0),
+        (MOMENTUM % "gain: 40.0}, tool: , safety: {", "gain", 40.0),
         (MOMENTUM % "gain: 40", "gain", 40),
         ("planner: {ros__parameters: &all {state_rate: 1e3}}\n" + MOMENTUM % "<<: &m {gain: 40.0}", "gain", 40.0),
         ("/**: {ros__parameters: &all {robot: iiwa14}}\n" + MOMENTUM % "gain: &gain 4.0e+1", "gain", 40.0),

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.resources import config_file
-from contact_reach_ros.settings import Settings, read_yaml, setting
+from contact_reach_ros.settings import ArmDefaults, Settings, read_yaml, setting
 
 BUDGET = "budget"
 """Prefix of the contact budget among the settings that nodes report: it comes from a file of its own."""
@@ -48,6 +50,19 @@ class ContactBudget(Settings):
         "Nm",
         0.01,
     )
+
+    def resolve(self, arm: ArmDefaults) -> Self:
+        """As any settings; raises `SettingsError`, too, where a threshold exceeds the torque that a joint can take."""
+        budget = super().resolve(arm)
+        for name in ("torque_thresholds", "handover_thresholds"):
+            values = getattr(budget, name)
+            if any(value > limit for value, limit in zip(values, arm.torque_limits, strict=True)):
+                limits = ", ".join(f"{limit:g}" for limit in arm.torque_limits)
+                raise SettingsError(
+                    f"contact budget: {name} = {list(values)}; expected no more than the joints' torque limits, "
+                    f"{limits} Nm"
+                )
+        return budget
 
 
 DEFAULT_BUDGET_FILE = "contact_budget.yaml"

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Arm, Array
-from contact_reach_ros.errors import PlanningError
+from contact_reach_ros.errors import InputError, PlanningError
 from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.planning.transfer.clearance import Bodies
 from contact_reach_ros.planning.transfer.contact import Obstacles
@@ -38,9 +38,16 @@ class ObstacleReader:
         Arm that may touch the spheres.
     capacity
         Number of spheres that the transfer model is compiled for; it is filled up with spheres out of reach.
+
+    Raises
+    ------
+    InputError
+        If the number is below zero.
     """
 
     def __init__(self, arm: Arm, capacity: int) -> None:
+        if capacity < 0:
+            raise InputError(f"a capacity of {capacity} spheres; expected 0, which compiles no contact, or more")
         self._arm = arm
         self._capacity = capacity
         self._network: Network | None = None

@@ -52,6 +52,11 @@ def test_nearest_spheres_are_kept_the_others_counted_and_missing_ones_out_of_rea
     assert (np.linalg.norm(obstacles.center[:, 1:, 0], axis=0) > 50.0).all()
 
 
+def test_a_capacity_below_zero_is_refused():
+    with pytest.raises(InputError, match="a capacity of -1 spheres; expected 0"):
+        ObstacleReader(ARM, -1)
+
+
 def test_the_angle_from_a_goal_is_that_of_what_counts():
     about, across = rotation_about((0, 0, 1), 0.7), rotation_about((0, 1, 0), 0.4)
     whole, axis = Target(np.ones(3), np.eye(3)), Target(np.ones(3), np.eye(3), only_axis=True)
