@@ -161,6 +161,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_robot(doctor)
     _add_discovery(doctor, "how far to look for nodes")
+    _add_namespace(doctor)
     _add_json(doctor)
 
     arm = commands.add_parser("arm", help="look at an arm's description").add_subparsers(required=True, metavar="WHAT")

@@ -21,21 +21,25 @@ from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.graph import as_offered
 from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.interfaces import ADAPTER, DOCTOR
-from contact_reach_ros.ros.process import bare_node
+from contact_reach_ros.ros.process import bare_node, in_namespace
 from contact_reach_ros.settings import parameters_in
 
 
-def listen(options: BringupOptions, arm: Arm, period: float, seconds: float) -> tuple[dict[str, Finding], JointRecord]:
+def listen(
+    options: BringupOptions, arm: Arm, period: float, seconds: float, namespace: str = "/"
+) -> tuple[dict[str, Finding], JointRecord]:
     """Listen to the driver for an adapter's kind; returns findings, and the joint states that came in the last seconds.
 
-    The driver is asked for the order of its joints, and nothing is sent to it. `period`: of the joint states, s. Raises
-    `SettingsError` if the parameter file is wrong, or a message package is not installed.
+    The driver is asked for the order of its joints, and nothing is sent to it. `period`: of the joint states, s;
+    `namespace`: of the adapter. Raises `SettingsError` if the parameter file is wrong, or a message package is not
+    installed.
     """
     kind, file = options.adapter, options.parameter_file
-    chosen: Any = make_settings(parameters_in(file, ADAPTER), ADAPTER_SECTIONS, arm, str(file))[kind]
+    own = parameters_in(file, ADAPTER, namespace)
+    chosen: Any = make_settings(own, ADAPTER_SECTIONS, arm, str(file))[kind]
     target: LbrTarget | EffortTarget
     heard: list[tuple[Any, int]] = []
-    with bare_node(DOCTOR, options.discovery) as node:
+    with bare_node(DOCTOR, options.discovery, [DOCTOR, *in_namespace(namespace)]) as node:
         client = Client(node)
 
         def take(state: Any) -> None:
@@ -59,8 +63,8 @@ def listen(options: BringupOptions, arm: Arm, period: float, seconds: float) -> 
         takers = stack.endpoints(node.get_subscriptions_info_by_topic(commands))
         givers = [] if kind == LBR else stack.endpoints(node.get_publishers_info_by_topic(states))
         client.close()
-    own = stack.Endpoint(f"the {ADAPTER}", target.topic.type_name, as_offered(qos_profile(target.topic.qos)))
-    deaf = stack.incompatible([own], takers)
+    adapter = stack.Endpoint(f"the {ADAPTER}", target.topic.type_name, as_offered(qos_profile(target.topic.qos)))
+    deaf = stack.incompatible([adapter], takers)
     found = f"{commands} → {', '.join(taker.node for taker in takers) or 'nobody'}{deaf and '; ' + deaf}"
     fix = "activate the controller that takes the torques, and let it request no more than reliable, volatile"
     findings = {"driver": _driver(target), "commands": graded(found, fix, fail=bool(deaf or not takers))}

@@ -31,24 +31,25 @@ from contact_reach_ros.settings import NODES, RATE, ROBOT, parameters_in
 _LISTEN_S = 1.0
 
 
-def run_doctor(file: Path | None = None, **options: Any) -> int:
+def run_doctor(file: Path | None = None, namespace: str = "", **options: Any) -> int:
     """Make all checks and print them; returns the exit code: 1 if something failed, else 0.
 
-    `file` takes the findings as JSON; `options` are those of `BringupOptions` with which the stack runs or will run.
-    With an adapter's kind and no stack, that driver is examined. Raises `InputError` if the file cannot be written.
+    `file` takes the findings as JSON; `namespace` is that of the stack, such as left; `options` are those of
+    `BringupOptions` with which the stack runs or will run. With an adapter's kind and no stack, that driver is
+    examined. Raises `InputError` if the file cannot be written.
     """
     console, chosen = Console(), BringupOptions.from_mapping({"driver": False, **options}, "options")
     with console.status("looking at this machine and its software ..."):
-        report = examine(chosen)
+        report = examine(chosen, f"/{namespace.strip('/')}")
     print_table(report, console)
     if file is not None:
         write_report(report, file)
     return exit_code(report)
 
 
-def examine(options: BringupOptions) -> Report:
-    """Make all checks, of the nodes with a parameter file."""
-    options, parameters = _parameters(options)
+def examine(options: BringupOptions, namespace: str = "/") -> Report:
+    """Make all checks, of the nodes with a parameter file in a namespace, such as /left."""
+    options, parameters = _parameters(options, namespace)
     report = {
         "machine": {"timer at 1 kHz": machine.timer_jitter()},
         "software": {"parameters": parameters},
@@ -65,7 +66,7 @@ def examine(options: BringupOptions) -> Report:
     os.environ.update(environment(options.discovery))
     report["software"]["discovery"] = stack.discovery_in_use()
     try:
-        graph, heard = stack.look_around(options.discovery, _LISTEN_S)
+        graph, heard = stack.look_around(options.discovery, _LISTEN_S, namespace)
     except ContactReachError as error:
         fix = "see whether the middleware works: RMW_IMPLEMENTATION, ROS_DOMAIN_ID, the Fast DDS profile file"
         report["stack"] = {"nodes": failed(str(error), fix)}
@@ -82,12 +83,12 @@ def examine(options: BringupOptions) -> Report:
     try:
         file, given = options.parameter_file, {ROBOT.name: options.robot, RATE.name: options.state_rate}
         asked = {name: value for name, value in given.items() if value}
-        settings = graph.settings.get("controller") or parameters_in(file, "controller") | asked
+        settings = graph.settings.get("controller") or parameters_in(file, "controller", namespace) | asked
         rate = settings.get(RATE.name, RATE.default)
         arm = arm_in(settings, "the controller")
-        budget = load_budget(parameters_in(file, "observer").get("contact_budget", "")).resolve(arm)
+        budget = load_budget(parameters_in(file, "observer", namespace).get("contact_budget", "")).resolve(arm)
         if is_alone:
-            report["driver"], record = driver.listen(options, arm, 1.0 / rate, _LISTEN_S)
+            report["driver"], record = driver.listen(options, arm, 1.0 / rate, _LISTEN_S, namespace)
         else:
             record = stack.joint_record(heard, arm)
     except ContactReachError as error:
@@ -106,15 +107,15 @@ def examine(options: BringupOptions) -> Report:
     return report
 
 
-def _parameters(options: BringupOptions) -> tuple[BringupOptions, Finding]:
+def _parameters(options: BringupOptions, namespace: str) -> tuple[BringupOptions, Finding]:
     """Check the whole parameter file as bring-up does; the options have a file for an arm that is described."""
     file = options.parameter_file
     try:
         with contextlib.suppress(ImportError):
             from contact_reach_ros.bringup.processes import resolved
 
-            options = resolved(options, "doctor")
-        check_parameters(file, robot=options.robot)
+            options = resolved(options, "doctor", ["doctor", "-r", f"__ns:={namespace}"])
+        check_parameters(file, robot=options.robot, namespace=namespace)
     except ContactReachError as error:
         return options, failed(str(error), "correct what the message names")
     return options, Finding(Verdict.PASS, f"{file}: valid for {', '.join(NODES)}")

@@ -36,7 +36,7 @@ from contact_reach_ros.ros.client import Client
 from contact_reach_ros.ros.discovery import reach
 from contact_reach_ros.ros.graph import full_name, node_of
 from contact_reach_ros.ros.interfaces import ADAPTER, ALONE, DOCTOR, MANAGED, OWNERS, VIEWER
-from contact_reach_ros.ros.process import bare_node
+from contact_reach_ros.ros.process import bare_node, in_namespace
 
 NEEDED_NODES = ("controller", "observer", "planner")
 """A real robot's driver may have any name; recorder and bring-up are not needed."""
@@ -83,6 +83,8 @@ class Graph:
         What the nodes report of their settings, by node.
     drive
         Joints and timeouts, s, among the parameters of a ros2_control controller that takes the commands.
+    namespace
+        Of the stack, such as /left; empty for the root.
     """
 
     nodes: Sequence[str] = ()
@@ -92,6 +94,11 @@ class Graph:
     safety: Sequence[tuple[str, str, bool]] = ()
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     drive: Mapping[str, Any] = field(default_factory=dict)
+    namespace: str = ""
+
+    def full(self, name: str) -> str:
+        """Full name of a node of the stack."""
+        return f"{self.namespace}/{name}"
 
     @property
     def adapter(self) -> str:
@@ -102,17 +109,17 @@ class Graph:
     def effort_controller(self) -> str:
         """Name of the ros2_control controller that takes the commands, where there is one."""
         name = self.settings.get(ADAPTER, {}).get(f"{self.adapter}.controller", _EFFORT_CONTROLLER)
-        return str(name).lstrip("/")
+        return str(name)
 
     @property
     def running(self) -> bool:
         """Whether any part of a stack is there."""
-        return any(f"/{name}" in self.nodes for name in MANAGED if name != VIEWER) or bool(
+        return any(self.full(name) in self.nodes for name in MANAGED if name != VIEWER) or bool(
             self.publishers.get(topics.JOINT_STATES.name)
         )
 
 
-def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
+def look_around(discovery: str, seconds: float, namespace: str = "/") -> tuple[Graph, Heard]:
     """Look at the stack with a node of its own; returns its graph and the joint states that came.
 
     Raises `ContactReachError` if ROS does not start a node.
@@ -123,13 +130,15 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
         How far to look, one of `discovery.CHOICES`.
     seconds
         How long to listen, if anything is there.
+    namespace
+        Of the stack.
     """
-    with bare_node(DOCTOR, discovery) as node:
+    with bare_node(DOCTOR, discovery, [DOCTOR, *in_namespace(namespace)]) as node:
         client = Client(node)
         time.sleep(SETTLED_S)
         names, states = _nodes(node), {}
-        for name in (name for name in MANAGED if f"/{name}" in names):
-            answer = _ask(client, f"/{name}/get_state", GetState, GetState.Request())
+        for name in (name for name in MANAGED if node.resolve_service_name(name) in names):
+            answer = _ask(client, f"{name}/get_state", GetState, GetState.Request())
             states[name] = answer.current_state.label if answer is not None else ""
         safety: dict[str, DiagnosticStatus] = {}
         settings: dict[str, Mapping[str, Any]] = {}
@@ -155,8 +164,9 @@ def look_around(discovery: str, seconds: float) -> tuple[Graph, Heard]:
             states,
             [(name, status.message, read_level(status) >= ERROR) for name, status in safety.items()],
             settings,
+            namespace=node.get_namespace().rstrip("/"),
         )
-        if f"/{graph.effort_controller}" in names:
+        if node.resolve_service_name(graph.effort_controller) in names:
             graph = dataclasses.replace(graph, drive=_parameters_of_drive(client, graph.effort_controller))
         client.close()
     return graph, heard[FRANKA_STATES if graph.adapter == FRANKA else topics.JOINT_STATES.name]
@@ -172,9 +182,9 @@ def _ask(client: Client, service: str, kind: Any, request: Any) -> Any:
 
 def _parameters_of_drive(client: Client, name: str) -> Mapping[str, Any]:
     """Joints and timeouts, s, among the parameters of a ros2_control controller; empty without an answer."""
-    listed = _ask(client, f"/{name}/list_parameters", ListParameters, ListParameters.Request())
+    listed = _ask(client, f"{name}/list_parameters", ListParameters, ListParameters.Request())
     names = [] if listed is None else [name for name in listed.result.names if name == "joints" or "timeout" in name]
-    answer = _ask(client, f"/{name}/get_parameters", GetParameters, GetParameters.Request(names=names))
+    answer = _ask(client, f"{name}/get_parameters", GetParameters, GetParameters.Request(names=names))
     values = [] if answer is None else map(parameter_value_to_python, answer.values)
     return dict(zip(names, values, strict=False))
 
@@ -199,7 +209,7 @@ def joint_record(heard: Heard, arm: Arm) -> JointRecord:
 
 def _nodes(node: Node) -> list[str]:
     found = (full_name(namespace, name) for name, namespace in node.get_node_names_and_namespaces())
-    return sorted(name for name in found if name != f"/{DOCTOR}")
+    return sorted(name for name in found if name != node.get_fully_qualified_name())
 
 
 def endpoints(infos: Sequence[TopicEndpointInfo]) -> list[Endpoint]:
@@ -218,7 +228,8 @@ def nodes(graph: Graph) -> Finding:
     """Check whether each node runs once and is active."""
     if not graph.running:
         found = f"no stack is running here; other nodes: {', '.join(graph.nodes) or 'none'}"
-        fix = "contact-reach up, with the same ROS_DOMAIN_ID and --discovery; with a real driver: doctor --adapter KIND"
+        fix = "contact-reach up, with the same ROS_DOMAIN_ID, --namespace and --discovery; "
+        fix += "with a real driver: doctor --adapter KIND"
         return graded(found, fix, warn=True)
     twice = sorted(node for node, count in Counter(graph.nodes).items() if count > 1)
     if twice:
@@ -227,11 +238,13 @@ def nodes(graph: Graph) -> Finding:
     states = {**dict.fromkeys(NEEDED_NODES, "missing"), **graph.states}
     fixes = {
         "missing": "ros2 run contact_reach_ros {0}, or contact-reach up",
-        "inactive": "ros2 lifecycle set /{0} activate",
-        "unconfigured": "ros2 lifecycle set /{0} configure",
+        "inactive": "ros2 lifecycle set {1} activate",
+        "unconfigured": "ros2 lifecycle set {1} configure",
     }
     restart = "look into the log of {0}, end it and start it again"
-    idle = [fixes.get(state, restart).format(node) for node, state in states.items() if state != "active"]
+    idle = [
+        fixes.get(state, restart).format(node, graph.full(node)) for node, state in states.items() if state != "active"
+    ]
     found = ", ".join(f"{node} is {state or 'silent'}" for node, state in states.items())
     return graded(found, "; ".join(idle), fail=bool(idle))
 
@@ -241,8 +254,9 @@ def safety_state(graph: Graph) -> Finding:
     stopped = [who for who, _, is_stop in graph.safety if is_stop]
     found = "; ".join(f"{who}: {what}" for who, what, _ in graph.safety)
     if stopped:
-        calls = "; ".join(f"ros2 service call /{who}/reset std_srvs/srv/Trigger" for who in stopped)
-        return failed(f"stopped: {found}", f"remove the cause, then release: contact-reach reset, or {calls}")
+        calls = "; ".join(f"ros2 service call {graph.full(who)}/reset std_srvs/srv/Trigger" for who in stopped)
+        reset = "contact-reach reset" + f" --namespace {graph.namespace}" * bool(graph.namespace)
+        return failed(f"stopped: {found}", f"remove the cause, then release: {reset}, or {calls}")
     if not graph.safety:
         fix = "look whether controller and observer are active, and into their logs"
         return graded("no node reports the state of the arm", fix, warn=True)
@@ -284,7 +298,7 @@ def topic(graph: Graph, wanted: Topic) -> Finding:
         fix = f"let {_names(strange)} use {wanted.type_name}, or another topic"
     elif wanted in ALONE and len(publishers) > 1:
         found += f": {len(publishers)} publishers, expected one"
-        owners = {f"/{name}" for name in OWNERS[wanted.name]}
+        owners = {graph.full(name) for name in OWNERS[wanted.name]}
         rivals = [endpoint.node for endpoint in publishers if endpoint.node not in owners]
         fix = f"end {', '.join(rivals) or 'all but one'}, or remap its topic: the arm would receive all in turn"
     elif deaf:
@@ -298,7 +312,7 @@ def topic(graph: Graph, wanted: Topic) -> Finding:
 
 def _is_elsewhere(graph: Graph, wanted: Topic) -> bool:
     """Whether the adapter's commands have another topic."""
-    other = graph.adapter == LBR or f"{graph.effort_controller}/commands" != topics.COMMANDS.name
+    other = graph.adapter == LBR or f"{graph.effort_controller.lstrip('/')}/commands" != topics.COMMANDS.name
     return wanted is topics.COMMANDS and other
 
 

@@ -88,6 +88,15 @@ def test_a_latched_stop_fails_with_the_call_that_releases_it():
     assert "/observer/reset" in finding.fix and "/controller/reset" not in finding.fix
 
 
+def test_remedies_name_the_namespace_of_the_stack():
+    names = [f"/left/{name}" for name in STACK]
+    left = changed(namespace="/left", nodes=names, states={**GOOD.states, "planner": "inactive"})
+    assert left.running and not changed(namespace="/left", publishers={}).running
+    assert stack.nodes(left).fix == "ros2 lifecycle set /left/planner activate"
+    fix = stack.safety_state(dataclasses.replace(left, safety=[("observer", "external torque", True)])).fix
+    assert "contact-reach reset --namespace /left" in fix and "/left/observer/reset" in fix
+
+
 @pytest.mark.parametrize(
     ("changes", "verdict", "found", "fix"),
     [
