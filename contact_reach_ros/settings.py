@@ -293,8 +293,8 @@ def parse_yaml(text: str, source: str) -> Any:
     return value
 
 
-def read_yaml(file: Path) -> dict[str, Any]:
-    """Read the mapping in a YAML file.
+def read_yaml(file: Path, may_be_empty: bool = False) -> dict[str, Any]:
+    """Read the mapping in a YAML file; none at all, if it may, is an empty one.
 
     Raises `SettingsError` if the file cannot be read, is not YAML or does not hold a mapping; the message names the
     file.
@@ -305,8 +305,11 @@ def read_yaml(file: Path) -> dict[str, Any]:
         raise SettingsError(f"{file}: cannot be read ({error.strerror}); give the path of a YAML file") from error
     except UnicodeDecodeError as error:
         raise SettingsError(f"{file}: not valid YAML: {error}; save it as UTF-8") from error
+    if content is None and may_be_empty:
+        return {}
     if not isinstance(content, dict):
-        raise SettingsError(f"{file}: holds {type(content).__name__}; expected a mapping of keys to values")
+        found = "is empty" if content is None else f"holds {type(content).__name__}"
+        raise SettingsError(f"{file}: {found}; expected a mapping of keys to values")
     return content
 
 

@@ -98,7 +98,9 @@ def home(arm: Arm) -> tuple[float, ...]:
     wrong += 10.0 * np.maximum(0.15 - lowest / arm.reach, 0.0)
     few = wrong.argsort()[: _POSTURES // 200]
     jacobians = task_jacobians(axes[..., few], origins[..., few] / arm.reach, arm.task)
-    quality = np.linalg.svd(jacobians, compute_uv=False)[:, -1] - 0.3 * wrong[few]
+    mobility = np.linalg.svd(jacobians, compute_uv=False)[:, -1]
     postures = np.round(q[few], 3)
     overlaps = (pair_distances(arm, postures, touching_pairs(arm)) <= 0.0).sum(axis=1)
-    return tuple(postures[np.lexsort([-quality, overlaps])[0]].tolist())
+    # Out of a wall, in front and at the height of the shoulder is on the first axis.
+    singular = mobility < 0.5 * mobility[overlaps == overlaps.min()].max()
+    return tuple(postures[np.lexsort([0.3 * wrong[few] - mobility, singular, overlaps])[0]].tolist())

@@ -83,6 +83,8 @@ def fit_capsule(balls: Array, on_axis: bool = False) -> Fit:
             apart = cdist(largest[:, :3], largest[:, :3])
             first, second = (largest[index, :3] for index in np.unravel_index(apart.argmax(), apart.shape))
             if _depths(first, second, float(largest[0, 3]), balls).min() >= -_OUTSIDE:
+                if (length := float(np.linalg.norm(second - first))) < _SHORTEST:
+                    second = first + _SHORTEST * ((second - first) / length if length else np.eye(3)[2])
                 return _judged(first, second, float(largest[0, 3]), balls)
     center = np.zeros(3) if on_axis else 0.5 * (balls[:, :3].min(axis=0) + balls[:, :3].max(axis=0))
     size = float(np.ptp(balls[:, :3], axis=0).max()) + float(balls[:, 3].max()) + _SHORTEST
@@ -117,8 +119,6 @@ def fit_capsule(balls: Array, on_axis: bool = False) -> Fit:
 
 
 def _judged(start: Array, end: Array, radius: float, balls: Array) -> Fit:
-    if np.linalg.norm(end - start) < _SHORTEST:
-        end = start + np.array([0.0, 0.0, _SHORTEST])
     # Points on a spiral around the unit sphere.
     height = np.linspace(-1.0, 1.0, _SPIRAL)
     turn, width = math.pi * (1.0 + math.sqrt(5.0)) * np.arange(_SPIRAL), np.sqrt(1.0 - height**2)

@@ -19,7 +19,7 @@ DESCRIPTIONS = (".urdf", ".xacro", ".xml")
 POINTS = "points"
 """Geometry beside that of URDFs: the convex hull of the points in its attribute `at`, m."""
 _FILE_URI = re.compile("^file:(//(localhost)?(?=/))?")
-_PACKAGED = re.compile("(?:package://|.*/share/)([^/]+)/(.+)")
+_PACKAGED = re.compile("(?:(?:package|model)://|.*/share/)([^/]+)/(.+)")
 _ARGUMENT = re.compile(rb"""<xacro:arg\s[^>]*?name=["']([^"']+)["']|\$\(arg\s+([^)\s]+)\s*\)""")
 """Where a xacro file declares an argument, or uses one."""
 _PREFIX_PATHS = ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")
@@ -35,12 +35,17 @@ def read_robot_file(file: Path, options: ArmOptions) -> tuple[Element, list[str]
     """
     content = _content(file)
     root = parse_xml(content, file)
+    is_xacro = b"${" in content or b"$(" in content or any(each.tag.startswith("xacro:") for each in root.iter())
+    if options.xacro and (root.tag == "mujoco" or not is_xacro):
+        raise SettingsError(
+            f"{file}: is no xacro file; expected no arguments under xacro, got {', '.join(options.xacro)}"
+        )
     if root.tag == "mujoco":
         # MuJoCo is loaded for its own files only.
         from contact_reach_ros.arm.mjcf_reader import robot_of_mjcf
 
         return robot_of_mjcf(file)
-    if b"${" in content or b"$(" in content or any(element.tag.startswith("xacro:") for element in root.iter()):
+    if is_xacro:
         root = parse_xml(_expanded(root, file, options), file)
     if root.tag != "robot":
         raise SettingsError(f"{file}: its root is <{root.tag}>; expected <robot> (URDF, xacro) or <mujoco> (MJCF)")

@@ -158,7 +158,7 @@ def _wrong(arm: Arm) -> Iterator[str]:
     for joint, angle in zip(arm.joints, arm.home, strict=True):
         if not -_MOST_TURNS <= joint.lower < joint.upper <= _MOST_TURNS:
             limits = f"lower {joint.lower:g}, upper {joint.upper:g}"
-            yield f"joint '{joint.name}' has {limits}; expected lower < upper, in rad"
+            yield f"joint '{joint.name}' has {limits}; expected lower < upper, in rad, within ±{_MOST_TURNS:.3g}"
         elif not joint.lower <= angle <= joint.upper:
             within = f"[{joint.lower:g}, {joint.upper:g}]"
             yield f"home has {angle:g} rad for joint '{joint.name}'; expected an angle in {within} rad"

@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -114,9 +114,11 @@ class _Reader:
         self.tree, self.meshes, self.file, self.options = tree, meshes, file, options
         self.assumed = list(assumed)
         self.options_file = options_file or file.with_name(f"{_stem(file)}.yaml")
+        self.source = f"{file} with {options_file}" if options_file else str(file)
         self.faults: list[plausibility.Fault] = []
+        movable = {name: joint for name, joint in tree.joints.items() if joint.kind != "fixed"}
         for key in ("fixed", "limits"):
-            self._check_names(key, getattr(options, key), tree.joints, "joint")
+            self._check_names(key, getattr(options, key), movable, "movable joint")
         for key in ("inertias", "capsules"):
             self._check_names(key, getattr(options, key), tree.links, "link")
         for joint, given in options.limits.items():
@@ -143,7 +145,7 @@ class _Reader:
         armature = given if isinstance(given, Sequence) else [given] * len(moving)
         lists: dict[str, Sequence[float]] = {f"thresholds: {key}": list_ for key, list_ in options.thresholds.items()}
         lists |= {"armature": armature} | ({} if options.home is None else {"home": options.home})
-        check_lengths(lists, len(moving), str(self.file))
+        check_lengths(lists, len(moving), self.source)
         parts = self._parts(base, moving)
         joints, inertias = [], []
         for joint, part, own_armature in zip(moving, parts[1:], armature, strict=True):
@@ -152,8 +154,8 @@ class _Reader:
         plausibility.refuse(self.faults, self.file, self.options_file)
         tip_place = parts[-1].places[tip]
         at_root = parts[0].places[tree.root].rotation
-        gravity = gravity_in(options, str(self.file)) or gravity_of(at_root.T, tree.gravity)
-        check_gravity(gravity, str(self.file))
+        gravity = gravity_in(options, self.source) or gravity_of(at_root.T, tree.gravity)
+        check_gravity(gravity, self.source)
         self._show_visuals(parts)
         fixed, links, fits = link_capsules(tree.links, self.meshes, self.file, options, parts, self.assumed)
         arm = Arm(
@@ -194,7 +196,7 @@ class _Reader:
             self.assumed.append("thresholds: by the joints' torque limits and inertias")
         reach = arm.reach if options.reach is None else options.reach
         arm = dataclasses.replace(arm, home=home, reach=reach, defaults=options.thresholds)
-        return completed(arm, str(self.file))
+        return completed(arm, self.source)
 
     def _check_names(self, key: str, given: Mapping[str, object], known: Mapping[str, object], what: str) -> None:
         for name in given:
@@ -412,14 +414,22 @@ def read_arm_file(file: Path) -> Reading:
     """
     if file.suffix.lower() in DESCRIPTIONS:
         beside = _beside(file, _YAML)
-        options = ArmOptions() if beside is None else converted(read_yaml(beside), ArmOptions, str(beside))
+        options = ArmOptions() if beside is None else _options(read_yaml(beside, may_be_empty=True), beside)
+        if options.urdf and beside is not None and (beside.parent / options.urdf).resolve() != file.resolve():
+            raise SettingsError(f"{beside}: urdf = {options.urdf}, and not {file.name}; give {beside} as the arm")
         return read_arm(file, options, beside)
-    content = read_yaml(file)
+    content = read_yaml(file, may_be_empty=True)
     if _OF_TABLES in content:
         return Reading(arm_of_table(content, str(file)), {}, [], [])
-    options = converted(content, ArmOptions, str(file))
+    options = _options(content, file)
     robot = file.parent / options.urdf if options.urdf else _beside(file, DESCRIPTIONS) or file.with_suffix(".urdf")
     return read_arm(robot, options, file)
+
+
+def _options(content: Mapping[str, Any], file: Path) -> ArmOptions:
+    if _OF_TABLES in content:
+        raise SettingsError(f"{file}: is a table, which holds the whole arm; give it by itself, or rename it")
+    return converted(content, ArmOptions, str(file))
 
 
 def _beside(file: Path, endings: Sequence[str]) -> Path | None:

@@ -31,8 +31,12 @@ _COUNTS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3}
 _SOFT = ("soft_lower_limit", "soft_upper_limit")
 _MIMIC = {"multiplier": 1.0, "offset": 0.0}
 _NUMBERS = {*_COUNTS, *LIMITS, *TENSOR, *_SIZES, *_SOFT, *_MIMIC, "value"}
-_READ = ("inertial", "collision", "origin", "axis", "limit", "safety_controller", "mimic", "dynamics")
+_OF_JOINTS = ("origin", "axis", "limit", "safety_controller", "mimic", "dynamics")
+_SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh", "points")
+_READ = ("inertial", "collision", *_OF_JOINTS)
 """Elements of links and joints that an arm is made of."""
+_MEASURED = {"mass", "inertia", *_SHAPES, *_OF_JOINTS}
+"""Elements with numbers, among these and in them."""
 ENDLESS = {"lower": 1e3, "upper": 1e3, "velocity": 1e3, "effort": 1e5}
 """Limits from here on, rad, rad/s, N m, stand for none: exporters write 1e16."""
 _TURN = round(2.0 * math.pi, 4)
@@ -74,7 +78,7 @@ class UrdfJoint(NamedTuple):
             if abs(found.get(key, 0.0)) >= ENDLESS[key]:
                 found[key] = math.copysign(_TURN, found[key])
                 remark = ", which is continuous, turns once to either side"
-        return {key: value for key, value in found.items() if key in RANGE or 0.0 < value < ENDLESS[key]}, remark
+        return {key: value for key, value in found.items() if key in RANGE or (value and value < ENDLESS[key])}, remark
 
     def mimicked(self) -> tuple[str, float, float] | None:
         """The joint that this one follows, with factor and offset, rad or m; None if it moves on its own."""
@@ -204,7 +208,8 @@ def check_numbers(element: Element, where: str) -> None:
 
     Raises `SettingsError`; the message begins with `where`.
     """
-    for part in (each for tag in _READ for found in element.findall(tag) for each in found.iter()):
+    parts = (each for tag in _READ for found in element.findall(tag) for each in found.iter())
+    for part in (each for each in parts if each.tag in _MEASURED):
         if part.tag == "mass" and "value" not in part.attrib:
             raise SettingsError(f"{where}: mass has no value; expected <mass value=.../>, kg")
         for key in filter(_NUMBERS.__contains__, part.attrib):

@@ -69,6 +69,26 @@ def test_balls_that_are_nearly_equal_are_all_inside(seed):
     assert not any((*around.start[:2], *around.end[:2]))
 
 
+@pytest.mark.parametrize("apart", [0.0, 2e-4, 9e-4, 1e-3 - 1e-16, 1e-3])
+def test_two_balls_beside_each_other_are_inside(apart):
+    """Whatever the direction: a capsule has a length of at least 1 mm."""
+    for direction in np.vstack([np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(20, 3))]):
+        second = np.array([0.1, 0.2, 0.3]) + apart * direction / np.linalg.norm(direction)
+        balls = np.array([[0.1, 0.2, 0.3, 0.06], [*second, 0.06]])
+        assert depths(fit_capsule(balls), balls).min() >= -2e-5
+
+
+@pytest.mark.parametrize("length", [0.0588, 0.03, 0.0012])
+def test_short_cylinders_are_inside(length):
+    """As their rims are balls of no radius, the segment is as short as it may be."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+    rim = np.stack([0.0602 * np.cos(turn), 0.0602 * np.sin(turn)], axis=1)
+    points = np.vstack([np.column_stack([rim, np.full(64, z)]) for z in (-0.5 * length, 0.5 * length)])
+    for frame in (np.eye(3), np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]):
+        balls = np.column_stack([points @ frame.T, np.zeros(len(points))])
+        assert depths(fit_capsule(balls), balls).min() >= -2e-5
+
+
 def test_a_sphere_and_a_capsule_stay_what_they_are_beside_smaller_things():
     ball, small = [0.1, 0.2, 0.3, 0.08], [0.1, 0.2, 0.32, 0.05]
     sphere = fit_capsule(np.array([ball, small, ball]))

@@ -11,7 +11,8 @@ import pytest
 from arm_simulation import ARM, TOOL
 
 from benchmarks.free_motion import FreeMotion
-from contact_reach_ros.arm import Arm, link_frames, link_frames_of_many
+from contact_reach_ros.arm import Arm, assumptions, link_frames, link_frames_of_many
+from contact_reach_ros.arm.kinematics import task_jacobians
 from contact_reach_ros.arm.mjcf import build_mjcf
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arm.mount import in_words, mounted, scene_frame, standing
@@ -245,6 +246,14 @@ def stood(request, tmp_path_factory) -> Arm:
     if request.param in roots:
         return read(folder, urdf(roots[request.param]))
     return read(folder, urdf(on_root(MOUNTS[request.param])), base="base")
+
+
+def test_home_is_far_from_singularities_where_in_front_is_on_the_first_axis():
+    """Of a UR10 that reaches out of a slope, whose first axis points ahead and up."""
+    arm = dataclasses.replace(load_arm("ur10"), gravity=(6.9, 0.0, -6.9))
+    rotations, origins = link_frames_of_many(arm, np.array([assumptions.home(arm)]))
+    jacobian = task_jacobians(rotations, origins / arm.reach, arm.task)[0]
+    assert np.linalg.svd(jacobian, compute_uv=False)[-1] > 0.15
 
 
 class TestWhereScenesStand:

@@ -240,6 +240,10 @@ LOST = '<mesh filename="package://x/lost.stl"/>'
             {"tool_mount": joint("tool_mount", "part_7", "tool"), "tool": link("tool")},
             "8 joints .* 2 to 7: .*under fixed",
         ),
+        (
+            {"joint_5": joint("joint_5", "part_4", "part_5", extra='<limit lower="-1" upper="1" velocity="-2"/>')},
+            "'joint_5' has velocity_limit -2; expected a number above 0|has velocity -2",
+        ),
         ({"joint_3": joint("joint_3", "part_2", "part_3", kind="hinge")}, "type = 'hinge'; expected one of revolute"),
         ({"part_2": link("part_2", extra=ball()).replace('<mass value="', '<mass value="-')}, "'part_2' has mass -"),
         ({"stand": link("stand").replace("0.03", "O.03")}, "'stand': inertia iyy = 'O.03'; expected 1 finite number"),
@@ -264,7 +268,10 @@ def test_what_is_no_arm_is_refused_with_name_and_key(changed, expected, tmp_path
     ("options", "expected"),
     [
         ({"tip": None}, "2 links end a chain of joints: finger, tool; expected .*tip"),
-        ({"fixed": {"joint_9": 0.0}}, "fixed: joint 'joint_9' does not exist; known: "),
+        ({"fixed": {"joint_9": 0.0}}, "fixed: movable joint 'joint_9' does not exist; known: "),
+        ({"fixed": {"tool_mount": 1.0}}, "fixed: movable joint 'tool_mount' does not exist; known: "),
+        ({"limits": {"tool_mount": {"velocity": 1.0}}}, "limits: movable joint 'tool_mount' does not exist; known: "),
+        ({"xacro": {"side": "left"}}, "is no xacro file; expected no arguments under xacro, got side"),
         ({"home": (2.0, *(0.0,) * 6)}, "home has 2 rad for joint 'joint_1'; expected"),
         ({"armature": (0.1,)}, "armature has 1 values; expected 7"),
         ({"armature": -0.1}, "'joint_1' has armature -0.1; expected a number of at least 0"),
@@ -281,6 +288,28 @@ def test_what_is_no_arm_is_refused_with_name_and_key(changed, expected, tmp_path
 def test_options_that_do_not_fit_the_urdf_are_refused(options, expected, tmp_path):
     with pytest.raises(SettingsError, match=expected):
         read_arm(written(tmp_path, odd_arm()), dataclasses.replace(ODD, **options))
+
+
+def test_words_in_elements_that_nobody_reads_are_left_alone(tmp_path):
+    shape = ball().replace("</collision>", '<verbose value="Yes"/></collision>')
+    part = link("part_2", extra=shape).replace("</inertial>", '<density value="water"/></inertial>')
+    words = read_arm(written(tmp_path, odd_arm(part_2=part)), ODD)
+    assert words.arm == read_arm(written(tmp_path, odd_arm(part_2=link("part_2", extra=ball()))), ODD).arm
+
+
+def test_files_beside_a_description_may_be_empty_and_no_tables_or_of_another(tmp_path):
+    file, beside = written(tmp_path, odd_arm()), tmp_path / "arm.yaml"
+    beside.write_text("# nothing yet\n")
+    assert read_arm_file(file).arm.n == 7
+    beside.write_text("joints: []\n")
+    with pytest.raises(SettingsError, match=r"arm\.yaml: is a table, which holds the whole arm"):
+        read_arm_file(file)
+    beside.write_text("urdf: other.urdf\n")
+    with pytest.raises(SettingsError, match=r"urdf = other\.urdf, and not arm\.urdf; give .*arm\.yaml as the arm"):
+        read_arm_file(file)
+    beside.write_text("tip: tool\nhome: [9, 0, 0, 0, 0, 0, 0]\n")
+    with pytest.raises(SettingsError, match=r"arm\.urdf with .*arm\.yaml: home has 9 rad"):
+        read_arm_file(file)
 
 
 COLLADA = """<?xml version="1.0"?>
