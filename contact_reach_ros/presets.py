@@ -156,7 +156,8 @@ def _check_together(file: Path, settings: Mapping[str, Any], arm: Arm, period: f
     from contact_reach_ros.control.stability import check_gains
 
     try:
-        check_gains(arm, settings["controller"]["impedance"], period)
+        own = settings["controller"]
+        check_gains(arm, own["impedance"], period, own["limits"].torque_delay)
         if "driver" in started:
             check_period(period)
     except SettingsError as error:

@@ -435,8 +435,8 @@ class TestForeignPlanners:
         rig = Rig(np.array(q), Ahead())
         rig.settle()
         body = body_of(RobotModel(ARM))
-        model, link = RobotModel(ARM), ARM.link_names[int(body.links[7])]
-        rig.add_body(link, body.points[7], np.array(normal), 0.0005, HAND)
+        model, link = RobotModel(ARM), ARM.link_names[int(body.links[11])]
+        rig.add_body(link, body.points[11], np.array(normal), 0.0005, HAND)
         model.update(rig.stack.state.q, rig.stack.state.v)
         rotation, ahead = model.rotation.copy(), 1e-4 * np.array(way)
         for tick in range(1500):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm.kinematics import vector
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.control.kernels import REPULSION_MARGIN, Constant
 from contact_reach_ros.control.settings import (
@@ -28,7 +29,7 @@ REPULSION_DAMPING = 10.0
 their torque limits. Without it the repulsion would throw the joint back."""
 
 STOP_DELAY = 0.01
-"""Delay of the drive and its filters that a stop stays stable with, besides a period, s."""
+"""Delay of the drive and its filters that a stop stays stable with, besides a period, s, unless it has a longer one."""
 STOP_SHARE = 0.8
 """Share of an arm's speed that the stop's damping takes within period and delay: 1.3 is unstable."""
 
@@ -64,7 +65,7 @@ def make_constants(
         Constant.TORQUE_CAP: limits.torque_share * torques,
         Constant.TORQUE_RATE: torque_rates(arm, limits),
         Constant.GRAVITY_SHARE: float(supervision.gravity_compensation),
-        Constant.STOP_RATE: STOP_SHARE / (period + STOP_DELAY),
+        Constant.STOP_RATE: STOP_SHARE / (period + max(STOP_DELAY, limits.torque_delay)),
         Constant.TASK_ROWS: impedance.rows,
         Constant.TIP_FORCE: limits.tip_force,
         Constant.BODY_SPEED: limits.body_speed,
@@ -97,8 +98,10 @@ def body_of(model: RobotModel) -> Body:
     arm, joints = model.arm, model.pinocchio
     frames = [joints.jointPlacements[joints.getJointId(name)] for name in arm.joint_names]
     placements = np.vstack([np.column_stack([frame.rotation, frame.translation]) for frame in frames])
-    ends = [(capsule.link - 1, end) for capsule in arm.capsules for end in (capsule.start, capsule.end)]
-    links, points = zip(*ends, strict=True)
+    axes = [(capsule.link - 1, np.array(capsule.start), np.array(capsule.end)) for capsule in arm.capsules]
+    # Between its ends a link may be lighter. A tool may have no capsule.
+    along = [(link, vector(start + share * (end - start))) for link, start, end in axes for share in (0.0, 0.5, 1.0)]
+    links, points = zip(*dict.fromkeys([*along, (arm.n - 1, arm.tip_offset)]), strict=True)
     return Body(placements, np.array(links, float), np.array(points, float))
 
 

@@ -83,11 +83,11 @@ class Controller:
             default.
         """
         settings = settings.resolve(arm)
-        check_gains(arm, settings.impedance, period)
+        check_gains(arm, settings.impedance, period, settings.limits.torque_delay)
         self.arm = arm
         self.settings = settings
         self.model = RobotModel(arm)
-        self.follower = Follower(arm.n, settings.impedance, settings.supervision)
+        self.follower = Follower(arm.n, settings.impedance, settings.supervision, period)
         self.supervisor = Supervisor(arm, settings.supervision, period)
         self.order = StampOrder()
         self.state: JointState | None = None

@@ -28,14 +28,15 @@ class Follower:
         Whether a plan was followed since the last `restart`.
     """
 
-    def __init__(self, n: int, impedance: ImpedanceSettings, limits: SupervisionSettings) -> None:
-        """`n`: number of joints."""
+    def __init__(self, n: int, impedance: ImpedanceSettings, limits: SupervisionSettings, period: float) -> None:
+        """`n`: number of joints; `period`: between states, s."""
         self.queue = ReferenceQueue(n)
         self.reference: Reference | None = None
         self.had_plan = False
         self._task = impedance.task
         self._limits = limits
         self._ramp_ns = round(impedance.reference_ramp * NANOSECONDS)
+        self._period_ns = round(period * NANOSECONDS)
         self._way: Way | None = None
         """To the knot to which the reference is moving, or has moved; None while a pose is held."""
         self._since_ns = 0
@@ -99,9 +100,12 @@ class Follower:
         self._way, self._since_ns = None, now_ns
 
     def _move_to(self, target: Reference, now_ns: int) -> None:
-        """Set the reference on the way from the last one to the knot in force; a step would jerk the arm."""
+        """Set the reference on the way from the last one to the knot in force; a step would jerk the arm.
+
+        Every tick moves it, also where each has a new target: it was where the way begins a period ago.
+        """
         if target is not self._target:
-            self._way, self._since_ns = Way(self.reference or target, target), now_ns
+            self._way, self._since_ns = Way(self.reference or target, target), now_ns - self._period_ns
         elapsed_ns = now_ns - self._since_ns
         self.reference = target
         if elapsed_ns < self._ramp_ns and self._way is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -40,8 +41,8 @@ def lightness(arm: Arm) -> Lightness:
     return Lightness(least, mobility)
 
 
-def spectral_radius(stiffness: float, damping: float, period: float) -> float:
-    """Largest eigenvalue, in magnitude, of a unit mass on spring and damper whose force acts one period late.
+def spectral_radius(stiffness: float, damping: float, period: float, delay: float = 0.0) -> float:
+    """Largest eigenvalue, in magnitude, of a unit mass on spring and damper whose force acts late.
 
     Parameters
     ----------
@@ -49,13 +50,18 @@ def spectral_radius(stiffness: float, damping: float, period: float) -> float:
         1/s² and 1/s.
     period
         Time between states, s.
+    delay
+        Of the force, s, beyond one period; of whole periods.
     """
-    step = np.array([[1.0, period, 0.5 * period**2], [0.0, 1.0, period], [-stiffness, -damping, 0.0]])
+    late = math.ceil(delay / period - 1e-6)
+    step = np.eye(3 + late, k=1)
+    step[:2, :3] = [[1.0, period, 0.5 * period**2], [0.0, 1.0, period]]
+    step[-1, :2] = -stiffness, -damping
     return float(np.abs(np.linalg.eigvals(step)).max())
 
 
-def check_gains(arm: Arm, gains: ImpedanceSettings, period: float) -> None:
-    """Refuse gains that are not stable with one period of delay.
+def check_gains(arm: Arm, gains: ImpedanceSettings, period: float, delay: float = 0.0) -> None:
+    """Refuse gains that are not stable where torques act one period late, and the delay of the drive, s.
 
     Raises
     ------
@@ -67,17 +73,17 @@ def check_gains(arm: Arm, gains: ImpedanceSettings, period: float) -> None:
         ("task", gains.task_stiffness, gains.task_damping, 1.0),
         ("null", gains.null_stiffness, gains.null_damping, inertia),
     ):
-        if stiffness == damping == 0.0 or spectral_radius(stiffness / mass, damping / mass, period) < 1.0:
+        if stiffness == damping == 0.0 or spectral_radius(stiffness / mass, damping / mass, period, delay) < 1.0:
             continue
-        share = 1.0
-        while share > 0.01 and spectral_radius(share**2 * stiffness / mass, share * damping / mass, period) >= 1.0:
+        share, elastic, viscous = 1.0, stiffness / mass, damping / mass
+        while share > 0.01 and spectral_radius(share**2 * elastic, share * viscous, period, delay) >= 1.0:
             share -= 0.005
         # So much less that it stays stable when it is rounded.
         share *= 0.99
         raise SettingsError(
             f"impedance.{law}_stiffness = {stiffness:g} and {law}_damping = {damping:g} are not stable at "
-            f"{1.0 / period:g} Hz with one period of delay; expected at most {share**2 * stiffness:.3g} and "
-            f"{share * damping:.3g} in this proportion, or a higher rate"
+            f"{1.0 / period:g} Hz with {1e3 * (period + delay):g} ms of delay; expected at most "
+            f"{share**2 * stiffness:.3g} and {share * damping:.3g} in this proportion, or a higher rate"
         )
 
 

@@ -8,7 +8,18 @@ from arm_simulation import random_states
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.constants import body_of, make_constants
-from contact_reach_ros.control.kernels import FADE, FADE_SHARE, Constant, body_shares, factorise, faded, pressing_share
+from contact_reach_ros.control.kernels import (
+    FADE,
+    FADE_SHARE,
+    Constant,
+    body_shares,
+    factorise,
+    faded,
+    joint_frames,
+    mobility_of,
+    point_jacobian,
+    pressing_share,
+)
 from contact_reach_ros.control.settings import IMPACT_ENERGY, JOINT_SHARE, LimitSettings
 
 LIMITS = LimitSettings()
@@ -29,40 +40,45 @@ def bounded(push, drag, inverse) -> float:
     return shares[np.argmin(fits) - 1] if not fits.all() else 1.0
 
 
+def points_of(arm):
+    """Links and points of the capsules' axes, three of each, and the tip, as the caps look at them."""
+    axes = ((capsule.link, np.array(capsule.start), np.array(capsule.end)) for capsule in arm.capsules)
+    along = [(link, start + share * (end - start)) for link, start, end in axes for share in (0.0, 0.5, 1.0)]
+    return [*along, (arm.n, np.array(arm.tip_offset))]
+
+
 def by_pinocchio(constants, model: RobotModel, q, v, driving, braking) -> tuple[float, float]:
     """The two shares from Pinocchio's Jacobians, point by point."""
     arm, joints, data = model.arm, model.pinocchio, model.pinocchio.createData()
     inverse = np.linalg.inv(model.mass_matrix)
     speed, share, most = float((np.abs(v) / (JOINT_SHARE * arm.velocity_limits)).max()), 1.0, 1.0
     pin.computeJointJacobians(joints, data, q)
-    for capsule in arm.capsules:
-        joint = joints.getJointId(arm.joint_names[capsule.link - 1])
+    for link, point in points_of(arm):
+        joint = joints.getJointId(arm.joint_names[link - 1])
         whole = pin.getJointJacobian(joints, data, joint, pin.LOCAL_WORLD_ALIGNED)
-        for end in (capsule.start, capsule.end):
-            lever = data.oMi[joint].rotation @ np.array(end, float)
-            jacobian = whole[:3] + np.cross(whole[3:].T, lever).T
-            motion = jacobian @ v
-            fast = np.linalg.norm(motion)
-            if fast < 1e-3:
-                # On the axis of A1.
-                continue
-            mobility = jacobian @ inverse @ jacobian.T
-            energy = 0.5 * motion @ np.linalg.solve(mobility + 1e-9 * np.eye(3), motion)
-            speed = max(speed, fast / LIMITS.body_speed, np.sqrt(energy / IMPACT_ENERGY))
-            push = jacobian @ inverse @ driving
-            drag, weighed = jacobian @ inverse @ braking, mobility + np.eye(3) / HEAVIEST
-            share = min(share, bounded(push, drag, np.linalg.inv(weighed)))
-            # A smooth surface that blocks the point; the force is in proportion to the acceleration along its normal.
-            pushed, dragged = NORMALS @ push, np.minimum(NORMALS @ drag, 0.0)
-            permitted = LIMITS.tip_force * np.einsum("nx,xy,ny->n", NORMALS, weighed, NORMALS)
-            most = min(most, ((permitted - dragged) / pushed)[pushed > 0.0].min())
+        jacobian = whole[:3] + np.cross(whole[3:].T, data.oMi[joint].rotation @ point).T
+        motion = jacobian @ v
+        fast = np.linalg.norm(motion)
+        if fast < 1e-3:
+            # On the axis of A1.
+            continue
+        mobility = jacobian @ inverse @ jacobian.T
+        energy = 0.5 * motion @ np.linalg.solve(mobility + 1e-9 * np.eye(3), motion)
+        speed = max(speed, fast / LIMITS.body_speed, np.sqrt(energy / IMPACT_ENERGY))
+        push = jacobian @ inverse @ driving
+        drag, weighed = jacobian @ inverse @ braking, mobility + np.eye(3) / HEAVIEST
+        share = min(share, bounded(push, drag, np.linalg.inv(weighed)))
+        # A smooth surface that blocks the point; the force is in proportion to the acceleration along its normal.
+        pushed, dragged = NORMALS @ push, np.minimum(NORMALS @ drag, 0.0)
+        permitted = LIMITS.tip_force * np.einsum("nx,xy,ny->n", NORMALS, weighed, NORMALS)
+        most = min(most, ((permitted - dragged) / pushed)[pushed > 0.0].min())
     holding = (constants[Constant.HOLD] / np.abs(driving)).min()
     assert share <= 1.001 * most
     return speed, min(max(share, holding), max((1.0 + FADE - speed) / FADE, 0.0))
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "panda", "ur10"])
-def test_they_hold_at_every_end_of_a_capsule(name):
+def test_they_hold_at_three_points_of_every_capsule_and_at_the_tip(name):
     arm = load_arm(name)
     model, constants = RobotModel(arm), make_constants(arm)
     constants[Constant.TORQUE_RATE] = np.inf
@@ -75,6 +91,31 @@ def test_they_hold_at_every_end_of_a_capsule(name):
         factor, _ = factorise(model.mass_matrix, 0.0)
         found = body_shares(constants, *body_of(model), q, v, factor, driving, braking)
         np.testing.assert_allclose(found, by_pinocchio(constants, model, q, v, driving, braking), rtol=3e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["iiwa14", "fr3", "ur10"])
+def test_surfaces_that_block_any_point_of_a_link_feel_little_more(name):
+    """Anywhere along the capsules, with the mass that the point has: 60 N, and more as a share of 200 kg."""
+    arm = load_arm(name)
+    model, constants = RobotModel(arm), make_constants(arm)
+    constants[Constant.HOLD] = 0.0
+    random, none, worst = np.random.default_rng(3), np.zeros(arm.n), 0.0
+    for q, _ in zip(*random_states(60, 3, arm), strict=True):
+        model.update(q, none)
+        driving = random.normal(size=arm.n) * 0.1 * arm.torque_limits
+        factor, _ = factorise(model.mass_matrix, 0.0)
+        body = body_of(model)
+        share = body_shares(constants, *body, q, none, factor, driving, none)[1]
+        rotations, origins = joint_frames(body.placements, q)
+        acceleration = share * np.linalg.solve(model.mass_matrix, driving)
+        for capsule in arm.capsules:
+            start, end = np.array(capsule.start), np.array(capsule.end)
+            for part in np.linspace(0.0, 1.0, 9):
+                rows = point_jacobian(rotations, origins, capsule.link - 1, start + part * (end - start))
+                pushed, mobility = NORMALS[:2000] @ (rows.T @ acceleration), mobility_of(rows, factor)
+                masses = 1.0 / np.einsum("nx,xy,ny->n", NORMALS[:2000], mobility, NORMALS[:2000])
+                worst = max(worst, (pushed * masses / (1.0 + masses / HEAVIEST)).max())
+    assert 40.0 < worst < 1.15 * LIMITS.tip_force
 
 
 def pressing(push, drag, mobility=(1.0, 1.0, 1.0)):

@@ -134,16 +134,16 @@ class TestPlans:
         assert set(modes[:100]) == {Mode.HOLDING}
         assert set(modes[100:300]) == {Mode.TRACKING}
         assert set(modes[300:]) == {Mode.HOLDING}
-        moved = 0.01 * np.minimum(np.arange(100) / RAMP_TICKS, 1.0)
+        moved = 0.01 * np.minimum(np.arange(1, 101) / RAMP_TICKS, 1.0)
         np.testing.assert_allclose([error for error, _ in seen[100:200]], moved, atol=1e-9)
         np.testing.assert_allclose([error for error, _ in seen[200:300]], 0.01 + moved, atol=1e-9)
 
     def test_a_plan_takes_over_from_one_whose_knot_was_not_reached_yet(self, bench):
         bench.tick(count=10)
         bench.plan((0.02, 0.0, 0.0))
-        bench.tick(count=RAMP_TICKS // 2 + 1)
+        bench.tick(count=RAMP_TICKS // 2)
         bench.plan((0.0, 0.0, 0.0))
-        np.testing.assert_allclose(bench.errors(RAMP_TICKS + 1), np.linspace(0.01, 0.0, RAMP_TICKS + 1), atol=1e-9)
+        np.testing.assert_allclose(bench.errors(RAMP_TICKS), np.linspace(0.01, 0.0, RAMP_TICKS + 1)[1:], atol=1e-9)
 
     @pytest.mark.parametrize("ends", ["runs out", "is withdrawn"])
     def test_without_one_the_arm_is_held_where_it_is_at_once(self, holding, ends):

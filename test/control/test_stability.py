@@ -5,7 +5,7 @@ from arm_simulation import ARM
 from six_axis import SIX_AXIS
 
 from contact_reach_ros.control.controller import Controller
-from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings
+from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings, LimitSettings
 from contact_reach_ros.control.stability import check_gains, spectral_radius
 from contact_reach_ros.errors import SettingsError
 
@@ -32,13 +32,25 @@ def test_the_papers_gains_are_stable_from_125_hz_on(rate):
     check_gains(SIX_AXIS, GAINS, 1.0 / rate)
 
 
+@pytest.mark.parametrize(("delay", "is_stable"), [(0.01, True), (0.016, False), (0.03, False)])
+def test_the_delay_of_the_drive_counts(delay, is_stable):
+    """Damping of 100/s alone is stable with a delay of π/2 / 100 s."""
+    assert (spectral_radius(0.0, 100.0, 0.001, delay) <= 1.0 + 1e-9) == is_stable
+    late = LimitSettings(torque_delay=delay)
+    if is_stable:
+        Controller(ARM, ControllerSettings(limits=late), 0.001)
+    else:
+        with pytest.raises(SettingsError, match=f"not stable at 1000 Hz with {1e3 * (delay + 0.001):g} ms of delay"):
+            Controller(ARM, ControllerSettings(limits=late), 0.001)
+
+
 @pytest.mark.parametrize(
     ("gains", "rate", "message"),
     [
         (
             ImpedanceSettings(null_stiffness=15.0, null_damping=0.7),
             100.0,
-            "task_stiffness = 880 and task_damping = 100 are not stable at 100 Hz with one period of delay",
+            "task_stiffness = 880 and task_damping = 100 are not stable at 100 Hz with 10 ms of delay",
         ),
         (ImpedanceSettings(task_damping=300.0), 200.0, "task_damping = 300 are not stable at 200 Hz"),
         (ImpedanceSettings(null_damping=20.0), 1000.0, "null_damping = 20 are not stable at 1000 Hz"),
