@@ -115,11 +115,24 @@ def kept(parts: tuple[object, ...], make: Callable[[], T]) -> T:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write a file that an option names, in a new folder if need be; raises `InputError` if it cannot be written."""
+    """Write a file that an option names, in a new folder if need be; one that is there stays if there is no room.
+
+    Raises `InputError` if it cannot be written.
+    """
+    # Names of files need not be text.
+    content, place = text.encode("utf-8", errors="backslashreplace"), file.resolve()
+    new = place.with_name(f"{place.name}.{os.getpid()}")
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        # Names of files need not be text.
-        file.write_text(text, encoding="utf-8", errors="backslashreplace")
+        if file.exists() and not file.is_file():
+            # A device, or a pipe.
+            file.write_bytes(content)
+            return
+        place.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            new.write_bytes(content)
+            new.replace(place)
+        finally:
+            new.unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"'{file}' cannot be written: {error.strerror}; name a file in a folder of yours") from error
 

@@ -1,5 +1,6 @@
 """The command line as a whole; what its commands do is tested with them."""
 
+import errno
 import os
 import shutil
 import subprocess
@@ -10,6 +11,8 @@ import pytest
 from contact_reach_command import contact_reach
 
 from contact_reach_ros.cli import main
+from contact_reach_ros.errors import InputError
+from contact_reach_ros.resources import write_text
 
 SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
 
@@ -64,6 +67,38 @@ def test_a_report_needs_no_home_and_no_text_beyond_ascii(name: bytes, tmp_path: 
     )
     assert (result.returncode, result.stderr) == (0, b""), result
     assert (folder / "sample.html").stat().st_size > 1_000_000 and (folder / "r.json").is_file()
+
+
+def test_a_file_for_which_there_is_no_room_leaves_the_one_before(tmp_path, monkeypatch):
+    file = tmp_path / "report.json"
+    write_text(file, "before")
+    monkeypatch.setattr(Path, "write_bytes", lambda path, content: path.open("wb").write(content[:3]) and fail())
+
+    def fail():
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(InputError, match=r"report\.json' cannot be written: No space left on device"):
+        write_text(file, "after that")
+    assert file.read_text() == "before" and list(tmp_path.iterdir()) == [file]
+
+
+def test_a_file_may_be_a_pipe_or_a_link(tmp_path):
+    reading, writing = os.pipe()
+    write_text(Path(f"/dev/fd/{writing}"), "words")
+    assert os.read(reading, 10) == b"words"
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    write_text(tmp_path / "link", "words")
+    assert (tmp_path / "link").is_symlink() and (tmp_path / "real").read_text() == "words"
+
+
+@pytest.mark.parametrize("arguments", [["goto", "0.5", "0.1", "0.3"], ["demo", "--scene", "free"]])
+def test_without_a_folder_for_the_logs_of_ros_it_says_which_variable_to_set(arguments, tmp_path):
+    env = {key: value for key, value in os.environ.items() if key not in ("ROS_LOG_DIR", "ROS_HOME")}
+    command = [sys.executable, "-m", "contact_reach_ros.cli", *arguments]
+    env |= {"HOME": "/proc/nohome", "XDG_CACHE_HOME": str(tmp_path)}
+    result = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=300)
+    assert result.returncode == 2 and "set ROS_LOG_DIR to a folder" in result.stderr, result
+    assert "Traceback" not in result.stderr
 
 
 def test_view_passes_on_what_is_given_and_no_bag_for_the_running_stack(monkeypatch):

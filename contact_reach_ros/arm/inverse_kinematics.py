@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
 
@@ -26,9 +28,9 @@ def unreachable(arm: Arm, position: Array) -> str:
     Reasons are a position farther from the shoulder than the arm reaches, and one inside the base. The text continues a
     sentence that begins with the name of the position.
     """
-    distance = float(np.linalg.norm(position - arm.shoulder))
+    distance = math.dist(position.tolist(), arm.shoulder)
     if distance > arm.reach:
-        return f"is {distance:.3f} m from the shoulder at {list(arm.shoulder)} m; the arm reaches {arm.reach} m"
+        return f"is {distance:.4g} m from the shoulder at {list(arm.shoulder)} m; the arm reaches {arm.reach} m"
     for fixed in arm.base_capsules:
         ends = np.array(fixed.start, float), np.array(fixed.end, float)
         if segment_distances((position, position), ends) < fixed.radius:

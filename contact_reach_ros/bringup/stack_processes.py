@@ -19,7 +19,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from sensor_msgs.msg import JointState
 
 from contact_reach_ros.bringup.processes import BringupOptions, Process, processes
-from contact_reach_ros.errors import ContactReachError
+from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.executables import end_with_parent
 from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.values import nanoseconds
@@ -79,7 +79,7 @@ class StackProcesses:
     SceneError, SettingsError
         As `processes`.
     InputError
-        Where it is entered beside another stack.
+        Where it is entered beside another stack, or the log cannot be written.
     """
 
     def __init__(
@@ -111,8 +111,13 @@ class StackProcesses:
     def __enter__(self) -> StackProcesses:
         refuse_beside_another(self.client.node, self._names)
         if self._log_path is not None:
-            self._log_path.parent.mkdir(parents=True, exist_ok=True)
-            self._log = self._log_path.open("wb")
+            try:
+                self._log_path.parent.mkdir(parents=True, exist_ok=True)
+                self._log = self._log_path.open("wb")
+            except OSError as error:
+                raise InputError(
+                    f"'{self._log_path}' cannot be written: {error.strerror}; name a folder of yours"
+                ) from error
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -43,7 +43,7 @@ class ControllerNode(StoppableNode):
     NAME = "controller"
     SECTIONS = CONTROLLER_SECTIONS
     STOPPED = "compliant stop"
-    RELEASED = "holding; send a goal to continue"
+    RELEASED = "holding; reset the driver, too, if its brakes are closed, then send a goal"
 
     def __init__(self) -> None:
         super().__init__()

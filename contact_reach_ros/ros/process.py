@@ -77,7 +77,7 @@ def run(node_class: type[ManagedNode], arguments: Sequence[str]) -> int:
 def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
     """Start rclpy; signals are left to the caller.
 
-    Raises `SettingsError` if ROS does not understand the arguments.
+    Raises `SettingsError` if ROS does not understand the arguments, or cannot write its log.
 
     Parameters
     ----------
@@ -88,7 +88,12 @@ def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
     """
     os.environ.update(environment(discovery))
     without_ros_arguments(arguments)
-    rclpy.init(args=without_parameters(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=without_parameters(arguments), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        raise SettingsError(
+            f"ROS does not start: {error}; for its logs set ROS_LOG_DIR to a folder that you may write to"
+        ) from error
 
 
 def in_namespace(namespace: str) -> list[str]:
