@@ -228,7 +228,7 @@ def test_a_file_may_be_written_as_editors_and_people_write_it(tmp_path, text, na
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "holds NoneType; expected a mapping"),
+        ("", "is empty; expected a mapping"),
         ("observer:\n  ros__parameters:\n\tmomentum:\n\t  gain: 40.0\n", "not valid YAML: .*'\\\\t'"),
         (MOMENTUM % 'gravity_in_torque: "false"', "gravity_in_torque = 'false': expected true or false"),
         (MOMENTUM % "gain: 40,0", "unknown key|gain = .* expected a number"),
