@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import math
 import os
 import pickle
 import platform
+import shutil
 import sys
 from collections.abc import Callable, Mapping
 from importlib.metadata import PackageNotFoundError, version
@@ -120,19 +122,12 @@ def write_text(file: Path, text: str) -> None:
     Raises `InputError` if it cannot be written.
     """
     # Names of files need not be text.
-    content, place = text.encode("utf-8", errors="backslashreplace"), file.resolve()
-    new = place.with_name(f"{place.name}.{os.getpid()}")
+    content = text.encode("utf-8", errors="backslashreplace")
     try:
-        if file.exists() and not file.is_file():
-            # A device, or a pipe.
-            file.write_bytes(content)
-            return
-        place.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            new.write_bytes(content)
-            new.replace(place)
-        finally:
-            new.unlink(missing_ok=True)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if file.is_file() and shutil.disk_usage(file).free + file.stat().st_size < len(content):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        file.write_bytes(content)
     except OSError as error:
         raise InputError(f"'{file}' cannot be written: {error.strerror}; name a file in a folder of yours") from error
 

@@ -414,7 +414,7 @@ def check_node_name(name: str, source: str) -> None:
 def check_values(values: Mapping[str, Any], known: Mapping[str, Setting], source: str) -> dict[str, Value]:
     """Check parameters of a node by full name, one by one, against the `known` ones, and return them in their types.
 
-    ROS's own parameters are left to ROS, and sections without a key are empty.
+    What every node of ROS has is left to ROS, and sections without a key are empty.
 
     Raises
     ------

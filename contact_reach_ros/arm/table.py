@@ -196,7 +196,7 @@ def _wrong_thresholds(arm: Arm, known: Mapping[str, object]) -> Iterator[str]:
             yield unknown_key(name, list(known), "defaults", "threshold")
         elif name != _POSTURE and not min(values) >= 0.0:
             yield f"{name} = {list(values)}; expected numbers of at least 0"
-        elif name == "torque_thresholds" and (np.array(values) > arm.torque_limits).any():
+        elif name in ("torque_thresholds", "handover_thresholds") and (np.array(values) > arm.torque_limits).any():
             limits = ", ".join(f"{limit:g}" for limit in arm.torque_limits)
             yield f"{name} = {list(values)}; expected no more than the joints' torque limits, {limits} Nm"
 

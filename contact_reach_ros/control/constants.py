@@ -60,7 +60,7 @@ def make_constants(
         Constant.UPPER_THRESHOLD: arm.upper - REPULSION_MARGIN,
         Constant.REPULSION_STRENGTH: REPULSION_SHARE * torques,
         Constant.REPULSION_DAMPING: stable_damping(
-            REPULSION_DAMPING * torques / torques.max(), lightness(arm).mobility, period
+            REPULSION_DAMPING * torques / torques.max(), lightness(arm).mobility, period + limits.torque_delay
         ),
         Constant.TORQUE_CAP: limits.torque_share * torques,
         Constant.TORQUE_RATE: torque_rates(arm, limits),
@@ -85,7 +85,8 @@ class Body(NamedTuple):
     placements
         (3 n, 4): of each joint's frame in that of the joint before it, rotation and translation, m; it turns about z.
     links, points
-        (P,) indices of joints, and (P, 3) points that they move, m, in their frames: the ends of the capsules' axes.
+        (P,) indices of joints, and (P, 3) points that they move, m, in their frames: ends and middles of the capsules'
+        axes, and the tip.
     """
 
     placements: Array

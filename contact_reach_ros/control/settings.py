@@ -94,8 +94,8 @@ class LimitSettings(Settings):
     )
     torque_delay: float = setting(
         0.0,
-        "time from a velocity to the torque that answers it, beyond one period, as of filters and slow drives: the "
-        "caps on speed act no faster than is stable with it",
+        "time from a velocity to the torque that answers it, beyond one period, as of filters and slow drives: "
+        "gains, caps on speed and stop are stable with it",
         unit="s",
         minimum=0.0,
         maximum=0.1,

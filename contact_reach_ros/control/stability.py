@@ -1,9 +1,8 @@
-"""Which gains are stable at a rate, if a torque acts one period after the state that it answers."""
+"""Which gains are stable at a rate, if a torque acts a period and the drive's delay after the state that it answers."""
 
 from __future__ import annotations
 
 import functools
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -51,12 +50,16 @@ def spectral_radius(stiffness: float, damping: float, period: float, delay: floa
     period
         Time between states, s.
     delay
-        Of the force, s, beyond one period; of whole periods.
+        Of the force, s, beyond one period.
     """
-    late = math.ceil(delay / period - 1e-6)
-    step = np.eye(3 + late, k=1)
-    step[:2, :3] = [[1.0, period, 0.5 * period**2], [0.0, 1.0, period]]
-    step[-1, :2] = -stiffness, -damping
+    late, part = divmod(delay / period + 1e-9, 1.0)
+    # Position, speed, and the forces that answer the states before, newest first: two of them act in one period.
+    step = np.eye(4 + int(late), k=-1)
+    step[:3] = 0.0
+    step[:2, :2] = [[1.0, period], [0.0, 1.0]]
+    step[0, -2:] = 0.5 * period**2 * (1.0 - part) ** 2, 0.5 * period**2 * (1.0 - (1.0 - part) ** 2)
+    step[1, -2:] = period * (1.0 - part), period * part
+    step[2, :2] = -stiffness, -damping
     return float(np.abs(np.linalg.eigvals(step)).max())
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from contact_reach_ros.arm import BLIND_AFTER, Array, JointState
 from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.settings import ControllerSettings
-from contact_reach_ros.errors import InputError, requested
+from contact_reach_ros.errors import BagError, InputError, SettingsError, requested
 from contact_reach_ros.messages.intake import TOPICS, Taken
 from contact_reach_ros.messages.plan_reader import PlanReader
 from contact_reach_ros.messages.safety_state import read_in_force, read_verdict
@@ -192,7 +192,12 @@ class _ControllerLoop(Loop):
         super().__init__("controller", inputs, other)
         hold = self.settings[BUDGET].handover_thresholds
         settings = ControllerSettings.from_sections(self.settings)
-        self.controller = Controller(inputs.arm, settings, self.period, hold=hold)
+        try:
+            self.controller = Controller(inputs.arm, settings, self.period, hold=hold)
+        except SettingsError as error:
+            if other is not None:
+                raise
+            raise BagError(f"bag '{inputs.bag.path}': {error}; use the version that recorded the bag") from error
         self.watch = self.make_observer(locates=False, blind_after=BLIND_AFTER)
         self.controller.watch_with(self.watch)
         self.plans = PlanReader(self.controller)

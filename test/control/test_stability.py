@@ -8,6 +8,8 @@ from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.settings import ControllerSettings, ImpedanceSettings, LimitSettings
 from contact_reach_ros.control.stability import check_gains, spectral_radius
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.presets import check_parameters
+from contact_reach_ros.resources import config_file
 
 GAINS = ImpedanceSettings()
 
@@ -30,6 +32,33 @@ def test_the_radius_tells_whether_a_late_spring_and_damper_come_to_rest(stiffnes
 @pytest.mark.parametrize("rate", [125.0, 1000.0])
 def test_the_papers_gains_are_stable_from_125_hz_on(rate):
     check_gains(SIX_AXIS, GAINS, 1.0 / rate)
+
+
+@pytest.mark.parametrize("damping", [100.0, 150.0, 250.0])
+@pytest.mark.parametrize("period", [0.001, 0.004, 0.005])
+@pytest.mark.parametrize("delay", [0.0, 0.0013, 0.005, 0.0071, 0.01])
+def test_the_radius_counts_parts_of_a_period(damping, period, delay):
+    """Against steps of 0.1 ms."""
+    stiffness, fine = 880.0, 1e-4
+    position, speed, answers = 1.0, 0.0, []
+    per_state, late = round(period / fine), round((period + delay) / fine)
+    for step in range(round(20.0 / fine)):
+        if step % per_state == 0:
+            answers.append(-stiffness * position - damping * speed)
+        answered = (step - late) // per_state
+        force = answers[answered] if answered >= 0 else 0.0
+        position, speed = position + fine * speed + 0.5 * fine**2 * force, speed + fine * force
+        if abs(speed) > 1e6:
+            break
+    radius = spectral_radius(stiffness, damping, period, delay)
+    assert (abs(speed) < 1e-3) == (radius < 1.0)
+
+
+@pytest.mark.parametrize("arm", ["iiwa7", "iiwa14"])
+@pytest.mark.parametrize("rate", [500.0, 1000.0])
+def test_the_gains_behind_kukas_driver_are_stable_with_its_delay(arm, rate):
+    given = {node: {"state_rate": rate} for node in ("driver", "controller", "observer", "planner")}
+    check_parameters(config_file("lbr.yaml"), given, robot=arm)
 
 
 @pytest.mark.parametrize(("delay", "is_stable"), [(0.01, True), (0.016, False), (0.03, False)])

@@ -8,6 +8,7 @@ import hashlib
 import logging
 import math
 import re
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -106,6 +107,8 @@ def _warn_once(reason: str) -> None:
     _log.warning("%s: XLA compiles it, and plans take two to three times as long", reason)
 
 
+_compiling = threading.Lock()
+"""LLVM's objects are for one thread."""
 _engines: dict[str, llvm.ExecutionEngine] = {}
 """Hold the code that XLA may call until the process ends, by its name."""
 
@@ -117,15 +120,20 @@ def _compile(digest: str, make: Callable[[], Any]) -> str:
     """
     versions = f"{_compiler()} {llvmlite.__version__} {jax.__version__} {_cpu()} {digest}"
     name = f"contact_reach_{hashlib.sha256(versions.encode()).hexdigest()[:32]}"
-    if name not in _engines:
-        code = kept((name,), lambda: _machine().emit_object(llvm.parse_assembly(_module(make()))))
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
-        engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-        engine.finalize_object()
-        address = ctypes.c_void_p(engine.get_function_address("handler"))
-        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(address), platform="cpu")
-        _engines[name] = engine
+    with _compiling:
+        if name not in _engines:
+            _engines[name] = _engine(name, make)
     return name
+
+
+def _engine(name: str, make: Callable[[], Any]) -> llvm.ExecutionEngine:
+    code = kept((name,), lambda: _machine().emit_object(llvm.parse_assembly(_module(make()))))
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    address = ctypes.c_void_p(engine.get_function_address("handler"))
+    jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(address), platform="cpu")
+    return engine
 
 
 def _module(jaxpr: Any) -> str:
