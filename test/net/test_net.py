@@ -19,7 +19,7 @@ EARLY = 60
 """Samples during which the first plans are in force."""
 
 
-OUTPUTS = {"controller": 4468, "observer": 4478}
+OUTPUTS = {"controller": 4205, "observer": 4350}
 """Outputs of the bag that can be compared."""
 
 
