@@ -146,5 +146,5 @@ def test_other_content_is_refused_and_the_file_named(tmp_path, content):
     file = tmp_path / "a.yaml"
     if content is not None:
         file.write_bytes(content)
-    with pytest.raises(SettingsError, match=f"^{file}: (holds|not valid YAML|cannot be read)"):
+    with pytest.raises(SettingsError, match=f"^{file}: (holds|is empty|not valid YAML|cannot be read)"):
         read_yaml(file)

@@ -303,7 +303,7 @@ def test_commands_are_in_force_only_while_they_pass(phase):
         pytest.param(OF_2024, {}, 0.002, marks=pytest.mark.slow),
         pytest.param(OF_2024, {"measured_torque_cutoff_frequency": 1.6}, 0.001, marks=pytest.mark.slow),
         pytest.param(LATER, {}, 0.002, marks=pytest.mark.slow),
-        (LATER, {"measured_torque_tau": 0.016}, 0.005),
+        (LATER, {"measured_torque_tau": 0.016}, 0.002),
     ],
 )
 def test_two_goals_settle_within_a_millimetre_without_a_false_contact(generation, config, period):

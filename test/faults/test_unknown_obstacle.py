@@ -22,7 +22,7 @@ class Run(NamedTuple):
 
 
 def run(reaction: str) -> Run:
-    hidden = UnknownObstacle((0.512, -0.075, 0.125), stiffness=500.0, at=0.2)
+    hidden = UnknownObstacle((0.512, -0.075, 0.123), stiffness=500.0, at=0.2)
     robot, forces = FaultyRobot(scene("free"), (hidden,)), []
     settings = UnexpectedContactSettings(reaction=reaction)
     stack = Stack(
