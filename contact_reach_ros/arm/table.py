@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 from contact_reach_ros.arm import assumptions
-from contact_reach_ros.arm.arm import Arm, Inertia, Vector3
+from contact_reach_ros.arm.arm import Arm, Array, Inertia, Vector3
 from contact_reach_ros.arm.kinematics import tensor_matrix
 from contact_reach_ros.arm.mount import mounted
 from contact_reach_ros.errors import SettingsError
@@ -196,9 +196,15 @@ def _wrong_thresholds(arm: Arm, known: Mapping[str, object]) -> Iterator[str]:
             yield unknown_key(name, list(known), "defaults", "threshold")
         elif name != _POSTURE and not min(values) >= 0.0:
             yield f"{name} = {list(values)}; expected numbers of at least 0"
-        elif name in ("torque_thresholds", "handover_thresholds") and (np.array(values) > arm.torque_limits).any():
-            limits = ", ".join(f"{limit:g}" for limit in arm.torque_limits)
-            yield f"{name} = {list(values)}; expected no more than the joints' torque limits, {limits} Nm"
+    yield from excessive(arm.defaults, arm.torque_limits)
+
+
+def excessive(thresholds: Mapping[str, Sequence[float]], limits: Array) -> Iterator[str]:
+    """Which thresholds, N m, lie above the joints' torque limits (n,), so that nothing would stop the arm."""
+    for name in ("torque_thresholds", "handover_thresholds"):
+        if name in thresholds and (np.array(thresholds[name]) > limits).any():
+            known = ", ".join(f"{limit:g}" for limit in limits)
+            yield f"{name} = {list(thresholds[name])}; expected no more than the joints' torque limits, {known} Nm"
 
 
 def check_gravity(gravity: Vector3, source: str) -> None:

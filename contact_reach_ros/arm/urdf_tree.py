@@ -30,13 +30,9 @@ _COUNTS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3}
 """Attributes with several numbers."""
 _SOFT = ("soft_lower_limit", "soft_upper_limit")
 _MIMIC = {"multiplier": 1.0, "offset": 0.0}
-_NUMBERS = {*_COUNTS, *LIMITS, *TENSOR, *_SIZES, *_SOFT, *_MIMIC, "value"}
-_OF_JOINTS = ("origin", "axis", "limit", "safety_controller", "mimic", "dynamics")
-_SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh", "points")
-_READ = ("inertial", "collision", *_OF_JOINTS)
+_NUMBERS = {*_COUNTS, *LIMITS, *TENSOR, *_SIZES, *_SOFT, *_MIMIC}
+_READ = ("inertial", "collision", "origin", "axis", "limit", "safety_controller", "mimic", "dynamics")
 """Elements of links and joints that an arm is made of."""
-_MEASURED = {"mass", "inertia", *_SHAPES, *_OF_JOINTS}
-"""Elements with numbers, among these and in them."""
 ENDLESS = {"lower": 1e3, "upper": 1e3, "velocity": 1e3, "effort": 1e5}
 """Limits from here on, rad, rad/s, N m, stand for none: exporters write 1e16."""
 _TURN = round(2.0 * math.pi, 4)
@@ -208,11 +204,12 @@ def check_numbers(element: Element, where: str) -> None:
 
     Raises `SettingsError`; the message begins with `where`.
     """
-    parts = (each for tag in _READ for found in element.findall(tag) for each in found.iter())
-    for part in (each for each in parts if each.tag in _MEASURED):
-        if part.tag == "mass" and "value" not in part.attrib:
+    for part in (each for tag in _READ for found in element.findall(tag) for each in found.iter()):
+        is_mass = part.tag == "mass"
+        if is_mass and "value" not in part.attrib:
             raise SettingsError(f"{where}: mass has no value; expected <mass value=.../>, kg")
-        for key in filter(_NUMBERS.__contains__, part.attrib):
+        # Other elements may have words as their value.
+        for key in (key for key in part.attrib if key in _NUMBERS or (is_mass and key == "value")):
             try:
                 values = [] if "_" in part.get(key, "") else [float(word) for word in part.get(key, "").split()]
             except ValueError:

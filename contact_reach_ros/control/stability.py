@@ -91,7 +91,7 @@ def check_gains(arm: Arm, gains: ImpedanceSettings, period: float, delay: float 
 
 
 def stable_damping(damping: Array, mobility: Array, period: float) -> Array:
-    """The damping (n,) of joints, N m s/rad, no larger than is stable with one period of delay.
+    """The damping (n,) of joints, N m s/rad, no larger than is stable with a delay of one `period`, s.
 
     `mobility`: (M⁻¹)_ii of each joint, (n,), 1/(kg m²).
     """

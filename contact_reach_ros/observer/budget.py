@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from contact_reach_ros.arm.table import excessive
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.resources import config_file
 from contact_reach_ros.settings import ArmDefaults, Settings, read_yaml, setting
@@ -54,14 +55,8 @@ class ContactBudget(Settings):
     def resolve(self, arm: ArmDefaults) -> Self:
         """As any settings; raises `SettingsError`, too, where a threshold exceeds the torque that a joint can take."""
         budget = super().resolve(arm)
-        for name in ("torque_thresholds", "handover_thresholds"):
-            values = getattr(budget, name)
-            if any(value > limit for value, limit in zip(values, arm.torque_limits, strict=True)):
-                limits = ", ".join(f"{limit:g}" for limit in arm.torque_limits)
-                raise SettingsError(
-                    f"contact budget: {name} = {list(values)}; expected no more than the joints' torque limits, "
-                    f"{limits} Nm"
-                )
+        for wrong in excessive(vars(budget), arm.torque_limits):
+            raise SettingsError(f"contact budget: {wrong}")
         return budget
 
 

@@ -242,7 +242,7 @@ LOST = '<mesh filename="package://x/lost.stl"/>'
         ),
         (
             {"joint_5": joint("joint_5", "part_4", "part_5", extra='<limit lower="-1" upper="1" velocity="-2"/>')},
-            "'joint_5' has velocity_limit -2; expected a number above 0|has velocity -2",
+            "'joint_5' has velocity -2, no effort. Expected .* a velocity above 0",
         ),
         ({"joint_3": joint("joint_3", "part_2", "part_3", kind="hinge")}, "type = 'hinge'; expected one of revolute"),
         ({"part_2": link("part_2", extra=ball()).replace('<mass value="', '<mass value="-')}, "'part_2' has mass -"),
