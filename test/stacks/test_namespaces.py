@@ -31,7 +31,7 @@ def test_remappings_of_bringup_hold_for_all_nodes():
 
 @pytest.mark.slow
 def test_two_stacks_reach_their_goals_beside_each_other(tmp_path, capsys):
-    env = environment()
+    env = {**environment(), "COLUMNS": "400"}
     file = parameter_file(
         tmp_path / "small.yaml", planner=SMALL_PLANNER, controller={"supervision": {"hold_limit": 1000.0}}
     )
@@ -53,6 +53,8 @@ def test_two_stacks_reach_their_goals_beside_each_other(tmp_path, capsys):
             assert result.returncode == 0 and "settled: " in result.stdout, result.stdout + result.stderr
         assert command("left", "stop").returncode == 0
         assert command("right", "goto", "0.5", "0.0", "0.3").returncode == 0, "the other one is not stopped"
+        found = command("left", "doctor").stdout
+        assert "left/driver → " in found and "reset --namespace /left" in found and "right/" not in found, found
         assert "namespace /: safety_state" in command("", "stop").stderr, "there is none outside of the namespaces"
         for name in NAMES:
             processes[name].send_signal(signal.SIGINT)
