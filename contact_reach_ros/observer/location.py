@@ -19,6 +19,8 @@ _FORCE_ALONG = 5.0
 """The same along the link, where contact acts only by friction."""
 _ACROSS = np.eye(3) / _FORCE**2
 _ALONG = 1.0 / _FORCE_ALONG**2 - 1.0 / _FORCE**2
+_ALIKE = 0.25
+"""Misfits that differ by less fit alike: half of a threshold on one joint."""
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
 """Coordinates in a cross product; NumPy's own function takes ten times as long."""
 
@@ -34,11 +36,14 @@ class Contact:
     position
         Point on the axis of the link's capsule that the force acts through, (3,), m, base frame.
     force
-        Force on the arm, (3,), N, base axes: the smallest that explains the torques, so an underestimate if anything.
+        Force on the arm, (3,), N, base axes: the one that explains the torques best.
     torque
         Sudden external torque (n,), N m, that the force is fitted to.
     is_excessive
-        Whether it has exceeded the permitted force for too long.
+        Whether even `least` has exceeded the permitted force for too long.
+    least
+        Least force at any point that explains the torques about as well, N: where levers are short, errors of torques
+        are large forces. Messages do not carry it.
     """
 
     link: str
@@ -46,6 +51,7 @@ class Contact:
     force: Array
     torque: Array
     is_excessive: bool = False
+    least: float = 0.0
 
     def rounded(self) -> Contact:
         """The same contact to 1 mm, 0.1 N and 0.01 N m, as messages carry it."""
@@ -98,8 +104,10 @@ class ContactLocator:
         right = target @ rows
         forces = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
         # At the minimum |target - rows f|² + fᵀ prior f is |target|² - fᵀ right.
-        best = int(np.argmax((forces * right).sum(axis=1)))
-        return Contact(self._link_names[self._links[best]], points[best], forces[best], torque)
+        gain = (forces * right).sum(axis=1)
+        best = int(np.argmax(gain))
+        least = float(np.linalg.norm(forces[gain >= gain[best] - _ALIKE], axis=1).min())
+        return Contact(self._link_names[self._links[best]], points[best], forces[best], torque, least=least)
 
     def frames(self, q: Array) -> tuple[Array, Array]:
         """Rotations (n, 3, 3) and origins (n, 3), m, of the joints' frames."""

@@ -162,7 +162,7 @@ class Observer:
         is_heartbeat = self.updates % self._heartbeat_every == 0
         if is_heartbeat:
             contact = self.locate(q) if self._locates and monitor.in_contact else None
-            is_excessive = self._excess.lasts(contact is not None and contact.strength > self._permitted)
+            is_excessive = self._excess.lasts(contact is not None and contact.least > self._permitted)
             self.contact = contact and dataclasses.replace(contact, is_excessive=is_excessive)
         return self._conclude(stamp_ns, is_heartbeat)
 

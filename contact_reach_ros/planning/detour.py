@@ -37,6 +37,9 @@ _SPEEDS = 0.01, 0.05
 _THERE = 0.01, 0.05
 """Distance, m, and angle, rad, from the goal within which an arm has come to where it should."""
 
+_PUSHED_AWAY = 5
+"""Factor on the patience of an arm that has been at the goal."""
+
 _NEAR = 0.3
 """Distance of the joints from the posture of a detour at which it ends, rad."""
 
@@ -152,11 +155,11 @@ class Detours:
 
     def _follow(self, detour: Detour, request: Request, elapsed: float) -> Detour:
         """The progress `elapsed` seconds later."""
-        # On a detour the arm has waited long before contact costs little.
-        q, patience = request.q, (1 + detour.is_on) * self.settings.detour_patience
+        q = request.q
         (now, offset, angle), least = (_distance(self.arm, each, request.goal) for each in (q, detour.nearest))
-        # One that has been at the goal, and is pushed away, stays in its posture.
         is_there, was_there = _is_there(offset, angle), _is_there(*least[1:])
+        # On a detour the arm has waited long before contact costs little; one that has been at the goal may come back.
+        patience = (_PUSHED_AWAY if was_there else 1 + detour.is_on) * self.settings.detour_patience
         remaining, before = now, least[0]
         if detour.is_on:
             while len(detour.path) > 1 and np.linalg.norm(q - detour.posture) < _AHEAD:
@@ -171,7 +174,7 @@ class Detours:
         if is_there or (detour.is_on and (remaining < _NEAR or (has_few and is_late))):
             # With few postures at the goal, the arm goes for it from wherever the way to one has led.
             detour = detour._replace(nearest=q, waited=0.0, is_on=False)
-        if detour.waited < patience or was_there:
+        if detour.waited < patience or (was_there and request.goal.moves):
             return detour
         path = self._choose(request, detour)
         if path is None:
@@ -245,8 +248,8 @@ class Detours:
             if not len(goals):
                 continue
             goals = np.concatenate([goals[:_CANDIDATES], random.permutation(goals[_CANDIDATES:])[:_CANDIDATES]])
-            # An arm that presses harder may go on from where it is.
-            limit = max(share * self.permitted_force, min(start + _SLACK, self.permitted_force))
+            # An arm that presses harder may go on from where it is; in a mesh, less than this says.
+            limit = max(share * self.permitted_force, start + _SLACK)
             left = _ITERATIONS
             paths: list[Array] = []
             while left and len(paths) < _PATHS:
