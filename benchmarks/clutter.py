@@ -17,7 +17,7 @@ from benchmarks.claims import interval_text
 from benchmarks.clutter_scenes import FIRST_HELD_OUT, clutter_name, clutter_scene
 from benchmarks.grid import Cell, Record, Setup
 from benchmarks.grid_run import run_grid
-from benchmarks.oracle import Kind, seeds_of
+from benchmarks.oracle import Kind, seeds_of, sorted_out
 from benchmarks.output import Report, command_line, command_of, given, run_command, table, write_report
 from benchmarks.statistics import Estimate, estimate, share
 from contact_reach_ros.arms import load_arm
@@ -49,6 +49,8 @@ class Clutter:
     scenes: int = 100
     seed: int = FIRST_HELD_OUT
     kind: str = ""
+    oracle: Path | None = None
+    """File in which the oracle's kinds are looked up; by default scenes are looked at again."""
     only: tuple[int, ...] = ()
     methods: tuple[str, ...] = (
         "contact_reach",
@@ -86,6 +88,8 @@ class Clutter:
     @functools.cached_property
     def seeds(self) -> Sequence[int]:
         """Of the scenes."""
+        if self.kind and self.oracle:
+            return sorted_out(self.oracle, self.kind, self.scenes)
         if self.kind:
             return seeds_of(self.kind, self.seed, self.scenes)
         return self.only or range(self.seed, self.seed + self.scenes)
@@ -222,6 +226,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, help="of the first; below 10000 for tuning (default: 10000)")
     kinds = [kind.value for kind in Kind]
     parser.add_argument("--kind", choices=kinds, help="only those that the oracle says are of this kind (default: all)")
+    parser.add_argument(
+        "--oracle", type=Path, metavar="FILE", help="what benchmarks.oracle --json wrote of these scenes"
+    )
     parser.add_argument("--only", nargs="+", type=int, metavar="SEED", help="scenes with these seeds instead")
     parser.add_argument("--methods", nargs="+", metavar="METHOD", help="see benchmarks/baselines.md (default: eight)")
     parser.add_argument("--timeout", type=float, help="simulated time to reach a goal, s (default: 60)")

@@ -24,6 +24,7 @@ import numpy as np
 from benchmarks.baselines.rrt_star import path_length
 from benchmarks.clutter_scenes import clutter_scene
 from benchmarks.output import command_line, given, run_command, say, table
+from benchmarks.workers import run_each
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.arm.model import RobotModel
@@ -124,32 +125,48 @@ def classify(arm: Arm, scene: Scene, permitted_force: float) -> Verdict:
 
 def seeds_of(kind: str, seed: int, scenes: int) -> list[int]:
     """The first `scenes` seeds, from `seed` on, whose scenes are of a kind; a scene takes up to a second."""
-    arm, permitted = load_arm(), load_budget().permitted_force
-    sorted_out = (_classify_seed(arm, number, permitted) for number in itertools.count(seed))
-    return [each.seed for each in itertools.islice((each for each in sorted_out if each.kind is Kind(kind)), scenes)]
+    verdicts = map(_classify_seed, itertools.count(seed))
+    return [each.seed for each in itertools.islice((each for each in verdicts if each.kind is Kind(kind)), scenes)]
 
 
-def _classify_seed(arm: Arm, seed: int, permitted_force: float) -> Verdict:
-    return classify(arm, make_scene(clutter_scene(arm, seed), arm, seed), permitted_force)
+def _classify_seed(seed: int) -> Verdict:
+    arm = load_arm()
+    return classify(arm, make_scene(clutter_scene(arm, seed), arm, seed), load_budget().permitted_force)
 
 
 def _limits(permitted_force: float) -> dict[str, float]:
     return {"free": 0.0, "tolerant": permitted_force}
 
 
-def bench_oracle(seed: int = 0, scenes: int = 100, file: Path | None = None) -> list[dict[str, Any]]:
+def sorted_out(file: Path, kind: str, scenes: int) -> list[int]:
+    """The first `scenes` seeds of a kind in a file of `bench_oracle`.
+
+    Raises `SettingsError` if it cannot be read or has fewer.
+    """
+    try:
+        lines = [json.loads(line) for line in file.read_text().splitlines()]
+        found = sorted(line["seed"] for line in lines if line["kind"] == kind)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SettingsError(f"--oracle {file}: {error}; expected what benchmarks.oracle --json wrote") from error
+    if len(found) < scenes:
+        raise SettingsError(f"--oracle {file} has {len(found)} scenes of kind {kind}; expected {scenes}: sort out more")
+    return found[:scenes]
+
+
+def bench_oracle(
+    seed: int = 0, scenes: int = 100, file: Path | None = None, workers: int | None = None
+) -> list[dict[str, Any]]:
     """Classify scenes of the clutter, print how many are of each kind, and write a line for each to `file`.
 
     Raises `SettingsError` if an option is out of range.
     """
     if seed < 0 or scenes < 1:
         raise SettingsError(f"--seed {seed} --scenes {scenes}: expected at least 0 and 1")
-    arm, permitted = load_arm(), load_budget().permitted_force
     done: list[dict[str, Any]] = []
-    for number in range(seed, seed + scenes):
-        verdict = _classify_seed(arm, number, permitted)
+    for verdict in run_each(_classify_seed, range(seed, seed + scenes), workers):
         done.append({**vars(verdict), "kind": verdict.kind.value})
-        say(f"{number}: {verdict}")
+        say(f"{verdict.seed}: {verdict}")
+    done.sort(key=lambda each: each["seed"])
     if file is not None:
         write_text(file, "".join(json.dumps(each) + "\n" for each in done))
     print(kinds_table(done))
@@ -166,7 +183,7 @@ def kinds_table(verdicts: Sequence[dict[str, Any]]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """The command line."""
-    parser = command_line(__doc__)
+    parser = command_line(__doc__, spread=True)
     parser.add_argument("--seed", type=int, help="of the first scene; below 10000 for tuning (default: 0)")
     parser.add_argument("--scenes", type=int, help="how many (default: 100)")
     bench_oracle(**given(parser, arguments))

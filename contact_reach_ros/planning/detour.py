@@ -64,11 +64,17 @@ _CANDIDATES = 24
 _SHARES = 0.0, 0.8
 """How much a path may press, in shares of ε, each tried if no path is found with the one before."""
 _ITERATIONS, _PATHS, _SHORTCUTS = 100, 2, 40
-"""Iterations in all to find this many paths, the shortest of which is taken, and attempts to shorten each. The arm
-waits meanwhile."""
+"""Iterations in all of the first search, to find this many paths, the shortest of which is taken, and attempts to
+shorten each."""
+_LONGEST, _SPHERES = 4, 512
+"""By what factor later searches may be longer, unless there are so many spheres that one would take some seconds: the
+arm waits meanwhile."""
 
 _SLACK = 0.5
 """By how much a way may press harder than the arm does where it begins, N."""
+
+_MESH = 2.0
+"""By what factor `Statics` may take the force where the way begins for too large: nodes of a mesh share theirs."""
 
 _SPACING, _AHEAD = 0.25, 0.5
 """Between postures on a way, and how far from one the next takes its place, rad."""
@@ -167,7 +173,8 @@ class Detours:
             remaining, before = detour.remaining(q), detour.remaining(detour.nearest)
         # Less is expected of a slow arm.
         if remaining < before - request.speed_scale * _SPEEDS[detour.is_on] * patience:
-            detour = detour._replace(nearest=q, waited=0.0)
+            # One that contact holds up on a path soon is again.
+            detour = detour._replace(nearest=q, waited=0.5 * detour.waited * detour.is_on)
         else:
             detour = detour._replace(waited=detour.waited + elapsed)
         has_few, is_late = is_bound(self.arm, request.goal), detour.waited >= patience
@@ -248,9 +255,9 @@ class Detours:
             if not len(goals):
                 continue
             goals = np.concatenate([goals[:_CANDIDATES], random.permutation(goals[_CANDIDATES:])[:_CANDIDATES]])
-            # An arm that presses harder may go on from where it is; in a mesh, less than this says.
-            limit = max(share * self.permitted_force, start + _SLACK)
-            left = _ITERATIONS
+            # An arm that presses harder may go on from where it is.
+            limit = max(share * self.permitted_force, min(start + _SLACK, _MESH * self.permitted_force))
+            left = _ITERATIONS * min(1 + number, max(1, _SPHERES // max(statics.count, 1)), _LONGEST)
             paths: list[Array] = []
             while left and len(paths) < _PATHS:
                 way, taken = connect(statics, goals, limit, _MARGINS[-1], left, random)

@@ -89,7 +89,7 @@ class PlanningSettings(Settings):
         maximum=1.0,
     )
     lead_change_weight: float = setting(
-        100.0,
+        200.0,
         "squared change of x_d's distance from the flange, so that plans do not jerk the arm",
         unit="1/m²",
         minimum=0.0,

@@ -11,6 +11,7 @@ from benchmarks import oracle
 from benchmarks.clutter import Clutter
 from benchmarks.oracle import Kind, classify
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.obstacle import BallSettings
@@ -60,5 +61,11 @@ def test_its_command_lists_the_seeds_of_each_kind(tmp_path, capsys):
     shown = capsys.readouterr().out
     for line in lines:
         assert f"| {line['kind']} | 1 | {line['seed']} |" in shown
-    assert Clutter(kind=lines[1]["kind"], seed=4, scenes=1).seeds == [5]
+    kind = lines[1]["kind"]
+    assert Clutter(kind=kind, seed=4, scenes=1).seeds == Clutter(kind=kind, oracle=file, scenes=1).seeds == [5]
     assert bench(oracle, "--scenes", "0") == 2
+    with pytest.raises(SettingsError, match=f"has 1 scenes of kind {kind}; expected 2"):
+        _ = Clutter(kind=kind, oracle=file, scenes=2).seeds
+    file.write_text("{}")
+    with pytest.raises(SettingsError, match="expected what benchmarks"):
+        _ = Clutter(kind=kind, oracle=file, scenes=1).seeds

@@ -59,6 +59,22 @@ def test_link_of_most_pushes_at_mid_arm_is_right(locator):
     assert np.median(errors) < 0.2
 
 
+def test_the_least_force_is_above_the_permitted_one_for_strong_pushes_and_below_it_for_weak_ones(locator):
+    """Errors of less than half a threshold on each joint, which at short levers look like tens of newtons."""
+    random, weak, strong, taken = np.random.default_rng(2), Pushes(MID_ARM), Pushes(MID_ARM, seed=1), []
+    for _ in range(300):
+        errors = 0.3 * np.array(SCALES) * random.standard_normal(ARM.n)
+        q, _, _, _, torque = weak.draw(8.0)
+        contact = locator.locate(q, torque + errors)
+        assert contact.least <= contact.strength + 1e-9
+        q, _, _, _, torque = strong.draw(40.0)
+        taken.append((contact.strength, contact.least, locator.locate(q, torque + errors).least))
+    best, least, of_strong = (np.array(taken) > 13.0).mean(axis=0)
+    assert best > 0.03
+    assert least < 0.01
+    assert of_strong > 0.95
+
+
 def test_estimate_is_finite_where_the_arm_is_singular(locator):
     contact = locator.locate(np.zeros(ARM.n), np.full(ARM.n, 5.0))
     assert np.isfinite([*contact.force, *contact.position]).all()

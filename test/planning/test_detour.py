@@ -80,11 +80,26 @@ def test_it_ends_near_its_posture_and_the_next_one_leads_elsewhere():
     assert np.abs(stuck.detour.posture - first.detour.posture).max() > 0.3
 
 
-def test_an_arm_that_has_been_at_the_goal_stays_in_its_posture():
-    rests = followed(begin(goal=Target(ORIGINS[-1], ROTATIONS[-1])), HOME, 4.0)
+def test_an_arm_that_has_been_at_the_goal_waits_longer_before_it_leaves_its_posture():
+    rests = followed(begin(goal=Target(ORIGINS[-1], ROTATIONS[-1])), HOME, 10.0)
     assert rests.detour.number == 0
     pushed = HOME + np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert followed(rests, pushed, 4.0).detour.number == 0
+    assert followed(rests, pushed, 4.9).detour.number == 0
+    assert followed(rests, pushed, 5.2).on_detour == 1
+    moving = dataclasses.replace(rests.goal, velocity=np.array([0.0, 0.01, 0.0]))
+    assert followed(rests, pushed, 5.2, goal=moving).detour.number == 0
+
+
+def test_an_arm_finds_a_path_away_from_where_it_presses_harder_than_permitted():
+    """As among the nodes of a mesh, each of which is counted as if it were alone."""
+    soft = dataclasses.replace(ball_at(link_frames(ARM, HOME)[1][4], 85.0), radius=np.array([0.1]))
+    pressing = float(Statics(ARM, soft, SMALL.contact_stiffness, HOME, GOAL).forces(HOME[None])[0])
+    assert PERMITTED_FORCE < pressing < 2.0 * PERMITTED_FORCE
+    leaving = followed(begin(spheres=soft), HOME, 1.2, spheres=soft)
+    assert leaving.on_detour == 1
+    statics = Statics(ARM, soft, SMALL.contact_stiffness, HOME, GOAL)
+    assert statics.forces(leaving.detour.path).max() <= pressing + 0.6
+    assert statics.forces(leaving.detour.path[-1:])[0] <= PERMITTED_FORCE
 
 
 def test_no_detour_leads_into_more_force_than_permitted():
