@@ -121,7 +121,11 @@ def all_pairs(arm: Arm) -> NDArray[np.intp]:
 
 def pair_distances(arm: Arm, q: Array, pairs: NDArray[np.intp] | None = None) -> Array:
     """Distances (N, P) of the surfaces of pairs (P, 2) of `shapes`, all unless given, in postures (N, n), m."""
-    first, second = (all_pairs(arm) if pairs is None else pairs).T
-    starts, ends = shape_segments(arm, q)
+    return pairs_apart(arm, shape_segments(arm, q), all_pairs(arm) if pairs is None else pairs)
+
+
+def pairs_apart(arm: Arm, segments: tuple[Array, Array], pairs: NDArray[np.intp]) -> Array:
+    """The same for start and end points of `shapes`, (N, S, 3) each, m."""
+    (first, second), (starts, ends) = pairs.T, segments
     apart = segment_distances((starts[:, first], ends[:, first]), (starts[:, second], ends[:, second]))
     return apart - (shape_radii(arm)[first] + shape_radii(arm)[second])

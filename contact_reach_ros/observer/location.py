@@ -106,7 +106,9 @@ class ContactLocator:
         # At the minimum |target - rows f|² + fᵀ prior f is |target|² - fᵀ right.
         gain = (forces * right).sum(axis=1)
         best = int(np.argmax(gain))
-        least = float(np.linalg.norm(forces[gain >= gain[best] - _ALIKE], axis=1).min())
+        strengths = np.linalg.norm(forces, axis=1)
+        # Of a torque that is not finite, nothing fits.
+        least = float(strengths[gain >= gain[best] - _ALIKE].min(initial=strengths[best]))
         return Contact(self._link_names[self._links[best]], points[best], forces[best], torque, least=least)
 
     def frames(self, q: Array) -> tuple[Array, Array]:

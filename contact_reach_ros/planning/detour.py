@@ -40,6 +40,9 @@ _THERE = 0.01, 0.05
 _PUSHED_AWAY = 5
 """Factor on the patience of an arm that has been at the goal."""
 
+_SOON = 0.8
+"""Share of the patience after which the next plan may wait for a search: some plans before it is over."""
+
 _NEAR = 0.3
 """Distance of the joints from the posture of a detour at which it ends, rad."""
 
@@ -159,6 +162,11 @@ class Detours:
         elapsed = min((request.effect_ns - last.effect_ns) * 1e-9, settings.horizon * settings.knot_duration)
         return request._replace(detour=self._follow(last.detour, seen, elapsed))
 
+    def may_search(self, request: Request) -> bool:
+        """Whether the plan after this one may wait for a search, since the arm makes no progress."""
+        detour = request.detour
+        return detour is not None and detour.waited >= _SOON * self.settings.detour_patience
+
     def _follow(self, detour: Detour, request: Request, elapsed: float) -> Detour:
         """The progress `elapsed` seconds later."""
         q = request.q
@@ -173,7 +181,7 @@ class Detours:
             remaining, before = detour.remaining(q), detour.remaining(detour.nearest)
         # Less is expected of a slow arm.
         if remaining < before - request.speed_scale * _SPEEDS[detour.is_on] * patience:
-            # One that contact holds up on a path soon is again.
+            # Where contact holds the arm up on a path it will soon do so again.
             detour = detour._replace(nearest=q, waited=0.5 * detour.waited * detour.is_on)
         else:
             detour = detour._replace(waited=detour.waited + elapsed)
@@ -181,7 +189,7 @@ class Detours:
         if is_there or (detour.is_on and (remaining < _NEAR or (has_few and is_late))):
             # With few postures at the goal, the arm goes for it from wherever the way to one has led.
             detour = detour._replace(nearest=q, waited=0.0, is_on=False)
-        if detour.waited < patience or (was_there and request.goal.moves):
+        if detour.waited < patience or (was_there and (request.goal.moves or has_few)):
             return detour
         path = self._choose(request, detour)
         if path is None:

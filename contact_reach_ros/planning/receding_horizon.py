@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from contact_reach_ros.agreement import plan_basis
 from contact_reach_ros.arm import Arm, Array
-from contact_reach_ros.control.references import Reference
+from contact_reach_ros.control.references import MAX_PLAN_DURATION, Reference
 from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.planning.cost import ReferenceSpace
@@ -352,14 +352,19 @@ class RecedingHorizonPlanner:
         before: Reference | None,
     ) -> Plan:
         first = jax.tree.map(lambda array: np.asarray(array)[..., 0].astype(float), rollout)
+        knots = first.reference
+        if self._detours.may_search(request):
+            # Without a plan the controller gives way to contact, and stops where that does not end it.
+            count = int(MAX_PLAN_DURATION / self._settings.knot_duration)
+            knots = Reference(*(part[np.minimum(np.arange(max(count, len(part))), len(part) - 1)] for part in knots))
         cost_terms = {name: float(np.asarray(values)[0]) for name, values in terms.items()}
         return Plan(
             number=self._number,
             effect_ns=request.effect_ns,
             knot_duration_s=self._settings.knot_duration,
-            positions=first.reference.position,
-            rotations=first.reference.rotation,
-            postures=first.reference.posture,
+            positions=knots.position,
+            rotations=knots.rotation,
+            postures=knots.posture,
             predicted_q=first.q,
             predicted_positions=first.pose.position,
             predicted_contact_forces=first.link_force,

@@ -9,7 +9,7 @@ import numpy as np
 from contact_reach_ros.arm import Arm, Array, rotation_from_quaternion
 from contact_reach_ros.arm.capsules import (
     moving,
-    pair_distances,
+    pairs_apart,
     segment_distances,
     self_pairs,
     shape_name,
@@ -60,8 +60,9 @@ def nearest(arm: Arm, q: Array, environment: Environment) -> list[Nearest]:
     names += [(shape_name(arm, shape), f"the {body.name}") for body in environment for shape in links]
     if not names:
         return []
-    own = pair_distances(arm, q, np.array(pairs)) if pairs else np.full((len(q), 0), np.inf)
-    starts, ends = capsule_segments(arm, q)
+    segments = shape_segments(arm, q)
+    own = pairs_apart(arm, segments, np.array(pairs)) if pairs else np.full((len(q), 0), np.inf)
+    starts, ends = (points[:, moving(arm)] for points in segments)
     radii = shape_radii(arm)[moving(arm)]
     middles, slack = _middle_distances(environment, starts, ends)
     limit = np.minimum((middles - radii).min(axis=(0, 2), initial=np.inf), own.min(axis=1, initial=np.inf))

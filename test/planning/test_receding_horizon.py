@@ -72,14 +72,14 @@ def test_a_seed_decides_the_candidates_and_begins_afresh(planner):
     planner.reseed(0)
     np.testing.assert_array_equal(plans[0].postures, plans[2].postures)
     assert not np.array_equal(plans[0].postures, plans[1].postures)
-    np.testing.assert_allclose(plans[0].positions, plans[1].positions, atol=2e-3)
+    np.testing.assert_allclose(plans[0].positions, plans[1].positions, atol=3e-3)
 
 
 def test_plan_starts_from_the_state_predicted_under_the_plan_in_force(planner):
     first = plan_from(planner)
     second = plan_from(planner, HOME, REST, 0, 100)
     # The prediction has a step more than the plan's first knot: it is cut where the reference ceases to move.
-    np.testing.assert_allclose(second.predicted_q[0], first.predicted_q[1], rtol=0, atol=1e-4)
+    np.testing.assert_allclose(second.predicted_q[0], first.predicted_q[1], rtol=0, atol=2e-4)
     planner.reset()
     third = plan_from(planner, HOME, REST, 0, 100)
     np.testing.assert_allclose(third.predicted_q[0], HOME, rtol=0, atol=1e-5)
