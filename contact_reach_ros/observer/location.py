@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +20,8 @@ _FORCE_ALONG = 5.0
 """The same along the link, where contact acts only by friction."""
 _ACROSS = np.eye(3) / _FORCE**2
 _ALONG = 1.0 / _FORCE_ALONG**2 - 1.0 / _FORCE**2
-_ALIKE = 0.25
-"""Misfits that differ by less fit alike: half of a threshold on one joint."""
+_ALIKE = 0.1
+"""Squared misfits that differ by less fit alike: as by an error of a third of a threshold on one joint."""
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
 """Coordinates in a cross product; NumPy's own function takes ten times as long."""
 
@@ -42,8 +43,8 @@ class Contact:
     is_excessive
         Whether even `least` has exceeded the permitted force for too long.
     least
-        Least force at any point that explains the torques about as well, N: where levers are short, errors of torques
-        are large forces. Messages do not carry it.
+        Smallest of the forces that explain the torques best at each point, where they do so about as well, N: where
+        levers are short, errors of torques are large forces. Messages do not carry it.
     """
 
     link: str
@@ -51,7 +52,7 @@ class Contact:
     force: Array
     torque: Array
     is_excessive: bool = False
-    least: float = 0.0
+    least: float = math.nan
 
     def rounded(self) -> Contact:
         """The same contact to 1 mm, 0.1 N and 0.01 N m, as messages carry it."""

@@ -37,8 +37,8 @@ _SPEEDS = 0.01, 0.05
 _THERE = 0.01, 0.05
 """Distance, m, and angle, rad, from the goal within which an arm has come to where it should."""
 
-_PUSHED_AWAY = 5
-"""Factor on the patience of an arm that has been at the goal."""
+_PUSHED_AWAY = 4
+"""How many times as long again an arm waits that has been at the goal."""
 
 _SOON = 0.8
 """Share of the patience after which the next plan may wait for a search: some plans before it is over."""
@@ -64,14 +64,13 @@ _OTHER = 0.3
 _CANDIDATES = 24
 """Postures to which straight ways are looked at, the nearest ones; a search takes as many others besides."""
 
+DETOUR_SHARE = 0.9
+"""Share of ε within which plans on a detour keep, which has room to avoid what the model has too soft."""
 _SHARES = 0.0, 0.8
 """How much a path may press, in shares of ε, each tried if no path is found with the one before."""
-_ITERATIONS, _PATHS, _SHORTCUTS = 100, 2, 40
-"""Iterations in all of the first search, to find this many paths, the shortest of which is taken, and attempts to
-shorten each."""
-_LONGEST, _SPHERES = 4, 512
-"""By what factor later searches may be longer, unless there are so many spheres that one would take some seconds: the
-arm waits meanwhile."""
+_ITERATIONS, _PATHS, _SHORTCUTS = 200, 2, 40
+"""Iterations of a search for this many paths, the shortest of which is taken, and attempts to shorten each. The arm
+waits meanwhile."""
 
 _SLACK = 0.5
 """By how much a way may press harder than the arm does where it begins, N."""
@@ -89,7 +88,7 @@ class Detour(NamedTuple):
     nearest: Array
     """(n,) rad, where the arm was nearest so far, to the goal or on a detour to its posture: goals may move."""
     waited: float
-    """Time since then, s."""
+    """Time since then, s; on a detour with half of what it was before, and negative for an arm that was at the goal."""
     number: int
     """Searches for a posture so far; each begins from others."""
     is_on: bool
@@ -169,11 +168,15 @@ class Detours:
 
     def _follow(self, detour: Detour, request: Request, elapsed: float) -> Detour:
         """The progress `elapsed` seconds later."""
-        q = request.q
+        q, patience = request.q, self.settings.detour_patience
         (now, offset, angle), least = (_distance(self.arm, each, request.goal) for each in (q, detour.nearest))
         is_there, was_there = _is_there(offset, angle), _is_there(*least[1:])
-        # On a detour the arm has waited long before contact costs little; one that has been at the goal may come back.
-        patience = (_PUSHED_AWAY if was_there else 1 + detour.is_on) * self.settings.detour_patience
+        has_few = is_bound(self.arm, request.goal)
+        if was_there and not is_there:
+            if request.goal.moves or has_few:
+                return detour._replace(waited=0.0)
+            # It may come back by itself.
+            return detour._replace(nearest=q, waited=-_PUSHED_AWAY * patience)
         remaining, before = now, least[0]
         if detour.is_on:
             while len(detour.path) > 1 and np.linalg.norm(q - detour.posture) < _AHEAD:
@@ -181,15 +184,17 @@ class Detours:
             remaining, before = detour.remaining(q), detour.remaining(detour.nearest)
         # Less is expected of a slow arm.
         if remaining < before - request.speed_scale * _SPEEDS[detour.is_on] * patience:
-            # Where contact holds the arm up on a path it will soon do so again.
+            # Contact that holds the arm up on a detour will soon do so again. At the least speed that counts, the time
+            # approaches twice the patience.
             detour = detour._replace(nearest=q, waited=0.5 * detour.waited * detour.is_on)
         else:
             detour = detour._replace(waited=detour.waited + elapsed)
-        has_few, is_late = is_bound(self.arm, request.goal), detour.waited >= patience
+        # On a detour the arm has waited long before contact costs little.
+        is_late = detour.waited >= (1 + detour.is_on) * patience
         if is_there or (detour.is_on and (remaining < _NEAR or (has_few and is_late))):
             # With few postures at the goal, the arm goes for it from wherever the way to one has led.
             detour = detour._replace(nearest=q, waited=0.0, is_on=False)
-        if detour.waited < patience or (was_there and (request.goal.moves or has_few)):
+        if not is_late or detour.waited == 0.0:
             return detour
         path = self._choose(request, detour)
         if path is None:
@@ -258,20 +263,26 @@ class Detours:
         """The shortest of a few paths to some of the postures (N, n)."""
         random, start = np.random.default_rng(number), float(statics.forces(statics.start[None])[0])
         forces = statics.forces(postures)
-        for share in _SHARES:
+        # A search that has failed goes on with what is more likely to be found.
+        shares = _SHARES[number > 0 :]
+        for share in shares:
             goals = postures[forces <= share * self.permitted_force]
             if not len(goals):
                 continue
             goals = np.concatenate([goals[:_CANDIDATES], random.permutation(goals[_CANDIDATES:])[:_CANDIDATES]])
             # An arm that presses harder may go on from where it is.
             limit = max(share * self.permitted_force, min(start + _SLACK, _MESH * self.permitted_force))
-            left = _ITERATIONS * min(1 + number, max(1, _SPHERES // max(statics.count, 1)), _LONGEST)
+            left = _ITERATIONS // len(shares)
             paths: list[Array] = []
             while left and len(paths) < _PATHS:
                 way, taken = connect(statics, goals, limit, _MARGINS[-1], left, random)
                 left -= taken
                 if way is not None:
-                    paths.append(shortened(statics, way, limit, _SPACING, _SHORTCUTS, random))
+                    way = shortened(statics, way, limit, _SPACING, _SHORTCUTS, random)
+                    presses = statics.forces(way) > self.permitted_force
+                    # Out of where it presses too hard, and not into it again.
+                    if not presses[int(presses.argmin()) :].any():
+                        paths.append(way)
             if paths:
                 return min(paths, key=length)[1:]
         return None

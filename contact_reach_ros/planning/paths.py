@@ -59,15 +59,10 @@ class Statics:
         (n,) rad, where motions begin. They keep as far from rigid bodies as a goal has to, or as the arm does there.
     goal
         Of the motions. An arm to which it leaves no free dimension meets singularities, too.
-
-    Attributes
-    ----------
-    count
-        Number of obstacles.
     """
 
     def __init__(self, arm: Arm, spheres: Spheres, contact_stiffness: float, start: Array, goal: Target) -> None:
-        self.arm, self.start, self._goal, self.count = arm, start, goal, len(spheres)
+        self.arm, self.start, self._goal = arm, start, goal
         self._spheres = dataclasses.replace(spheres, center=spheres.rest)
         self._stiffness = 1.0 / (1.0 / contact_stiffness + Network(spheres).softness) if len(spheres) else np.zeros(0)
         self._side = self._sides(start[None])

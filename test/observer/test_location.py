@@ -60,7 +60,7 @@ def test_link_of_most_pushes_at_mid_arm_is_right(locator):
 
 
 def test_the_least_force_is_above_the_permitted_one_for_strong_pushes_and_below_it_for_weak_ones(locator):
-    """Errors of less than half a threshold on each joint, which at short levers look like tens of newtons."""
+    """Errors of a third of a threshold on each joint, which at short levers look like tens of newtons."""
     random, weak, strong, taken = np.random.default_rng(2), Pushes(MID_ARM), Pushes(MID_ARM, seed=1), []
     for _ in range(300):
         errors = 0.3 * np.array(SCALES) * random.standard_normal(ARM.n)
@@ -71,7 +71,7 @@ def test_the_least_force_is_above_the_permitted_one_for_strong_pushes_and_below_
         taken.append((contact.strength, contact.least, locator.locate(q, torque + errors).least))
     best, least, of_strong = (np.array(taken) > 13.0).mean(axis=0)
     assert best > 0.03
-    assert least < 0.01
+    assert least < 0.5 * best
     assert of_strong > 0.95
 
 
