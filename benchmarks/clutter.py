@@ -82,6 +82,8 @@ class Clutter:
                 raise SettingsError(f"--{name} {number}: expected at least {least}")
         if self.kind and self.only:
             raise SettingsError("--kind and --only both choose the scenes; expected one of them")
+        if self.oracle and not self.kind:
+            raise SettingsError(f"--oracle {self.oracle} has kinds; expected a --kind, too")
         if not self.timeout > 0.0:
             raise SettingsError(f"--timeout {self.timeout:g}: expected a positive time in s")
 

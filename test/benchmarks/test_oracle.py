@@ -64,6 +64,8 @@ def test_its_command_lists_the_seeds_of_each_kind(tmp_path, capsys):
     kind = lines[1]["kind"]
     assert Clutter(kind=kind, seed=4, scenes=1).seeds == Clutter(kind=kind, oracle=file, scenes=1).seeds == [5]
     assert bench(oracle, "--scenes", "0") == 2
+    with pytest.raises(SettingsError, match=r"has kinds; expected a --kind, too"):
+        Clutter(oracle=file)
     with pytest.raises(SettingsError, match=f"has 1 scenes of kind {kind}; expected 2"):
         _ = Clutter(kind=kind, oracle=file, scenes=2).seeds
     file.write_text("{}")
