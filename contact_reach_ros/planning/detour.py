@@ -67,7 +67,8 @@ _CANDIDATES = 24
 DETOUR_SHARE = 0.9
 """Share of ε within which plans on a detour keep, which has room to avoid what the model has too soft."""
 _SHARES = 0.0, 0.8
-"""How much a path may press, in shares of ε, each tried if no path is found with the one before."""
+"""How much a path may press, in shares of ε, each tried if no path is found with the one before; later searches take
+the last."""
 _ITERATIONS, _PATHS, _SHORTCUTS = 200, 2, 40
 """Iterations of a search for this many paths, the shortest of which is taken, and attempts to shorten each. The arm
 waits meanwhile."""
@@ -263,7 +264,7 @@ class Detours:
         """The shortest of a few paths to some of the postures (N, n)."""
         random, start = np.random.default_rng(number), float(statics.forces(statics.start[None])[0])
         forces = statics.forces(postures)
-        # A search that has failed goes on with what is more likely to be found.
+        # Later searches look for what is more likely to be found.
         shares = _SHARES[number > 0 :]
         for share in shares:
             goals = postures[forces <= share * self.permitted_force]
