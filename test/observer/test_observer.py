@@ -10,6 +10,7 @@ from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import StopCode
 from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.observer.observer import HEARTBEAT, Observer, SafetyReport
 from contact_reach_ros.observer.safety import HANDOVER_TIME, SafetyLevel
 from contact_reach_ros.observer.settings import MomentumSettings, ObserverSettings
@@ -82,6 +83,14 @@ class TestDue:
         contacts = {id(report.contact): report.contact for report in reports if report.contact is not None}
         assert 9 <= len(contacts) <= 10
         assert watched.run(300)[-1].contact is None
+
+    @pytest.mark.parametrize(("least", "claimed"), [(12.0, False), (14.0, True)])
+    def test_a_contact_is_excessive_where_no_weaker_force_explains_it(self, watched, monkeypatch, least, claimed):
+        contact = Contact(ARM.link_names[-1], np.zeros(3), np.array([0.0, 0.0, -20.0]), SOFT, least=least)
+        monkeypatch.setattr(watched.observer, "locate", lambda q: contact)
+        assert BUDGET.permitted_force + 3.0 == 13.0
+        assert not watched.run(150, SOFT)[-1].verdict.excess
+        assert watched.run(150, SOFT)[-1].verdict.excess == claimed
 
 
 BLIND_MS = 250
