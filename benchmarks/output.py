@@ -55,7 +55,9 @@ def command_of(name: str, options: Any) -> str:
     words = ["python", "-m", f"benchmarks.{name}"]
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
-        texts = [Path(text).name for text in map(str, value if isinstance(value, tuple) else (value,))]
+        texts = [str(text) for text in (value if isinstance(value, tuple) else (value,))]
+        # Folders of one machine mean nothing to others.
+        texts = [Path(text).name if Path(text).is_absolute() else text for text in texts]
         if field.default is dataclasses.MISSING:
             words += texts
         elif value != field.default:

@@ -2,8 +2,8 @@
 
 A plan of 0.3 s sees no way around a joint's limit, or around a wall: the straight way to a goal often ends there. A
 detour leads to a posture at the goal that inverse kinematics finds and that should not press harder than permitted:
-straight through joint space to one of the nearest where that way is permitted, else along a path (see `paths`). Plans
-on it minimise the distance of the joints from a posture a little ahead, in place of the distance from the goal.
+straight through joint space to one that is soon reached where that way is permitted, else along a path (see `paths`).
+Plans on it minimise the distance of the joints from a posture a little ahead, in place of the distance from the goal.
 
 Postures that differ by whole turns of joints are one: the arm goes to the nearest of them within the limits. An arm
 without free dimensions, such as one with six joints and a pose as its goal, has few postures at the goal, and law (1)
@@ -13,6 +13,7 @@ goal from where it got, and gives the goal up when none is left.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,9 +24,10 @@ import numpy as np
 from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.arm.inverse_kinematics import solve_ik
 from contact_reach_ros.errors import UnreachableError
-from contact_reach_ros.planning.paths import Statics, connect, is_bound, length, shortened
+from contact_reach_ros.planning.paths import Statics, connect, duration, durations, is_bound, length, shortened
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.settings import PlanningSettings
+from contact_reach_ros.planning.terms import METRES_PER_RADIAN
 from contact_reach_ros.world.goal import Target
 
 _ROOM = 5.0
@@ -40,13 +42,15 @@ _THERE = 0.01, 0.05
 _PUSHED_AWAY = 4
 """How many times as long again an arm waits that has been at the goal."""
 
+_CLOSE = 0.05, 0.3
+"""Distance, m, and angle, rad, from the goal within which an arm waits twice as long: contact, which becomes cheap
+meanwhile, is likely what holds it up."""
+
 _SOON = 0.8
 """Share of the patience after which the next plan may wait for a search: some plans before it is over."""
 
 _NEAR = 0.3
 """Distance of the joints from the posture of a detour at which it ends, rad."""
-
-_METRES_PER_RADIAN = 0.2
 
 _SEEDS_NEAR, _SEEDS_ANYWHERE, _SPREAD = 64, 192, 0.5
 """Postures from which inverse kinematics searches, the former with this standard deviation around the arm's, rad."""
@@ -62,7 +66,10 @@ _OTHER = 0.3
 """By as much at least does a joint of the posture differ from what it is, and from that of the last detour, rad."""
 
 _CANDIDATES = 24
-"""Postures to which straight ways are looked at, the nearest ones; a search takes as many others besides."""
+"""Postures to which straight ways are looked at, soonest first; a search takes the nearest, and as many others."""
+
+_PRESSING = 2.0
+"""By how much longer a way may take that presses less, for each ε, s."""
 
 DETOUR_SHARE = 0.9
 """Share of ε within which plans on a detour keep, which has room to avoid what the model has too soft."""
@@ -70,7 +77,7 @@ _SHARES = 0.0, 0.8
 """How much a path may press, in shares of ε, each tried if no path is found with the one before; later searches take
 the last."""
 _ITERATIONS, _PATHS, _SHORTCUTS = 200, 2, 40
-"""Iterations of a search for this many paths, the shortest of which is taken, and attempts to shorten each. The arm
+"""Iterations of a search for this many paths, the quickest of which is taken, and attempts to shorten each. The arm
 waits meanwhile."""
 
 _SLACK = 0.5
@@ -171,7 +178,7 @@ class Detours:
         """The progress `elapsed` seconds later."""
         q, patience = request.q, self.settings.detour_patience
         (now, offset, angle), least = (_distance(self.arm, each, request.goal) for each in (q, detour.nearest))
-        is_there, was_there = _is_there(offset, angle), _is_there(*least[1:])
+        is_there, was_there = _is_within(_THERE, offset, angle), _is_within(_THERE, *least[1:])
         has_few = is_bound(self.arm, request.goal)
         if was_there and not is_there:
             if request.goal.moves or has_few:
@@ -190,8 +197,9 @@ class Detours:
             detour = detour._replace(nearest=q, waited=0.5 * detour.waited * detour.is_on)
         else:
             detour = detour._replace(waited=detour.waited + elapsed)
-        # On a detour the arm has waited long before contact costs little.
-        is_late = detour.waited >= (1 + detour.is_on) * patience
+        # Where the arm presses it has waited long before contact costs little.
+        is_close = _is_within(_CLOSE, offset, angle)
+        is_late = detour.waited >= (1 + (detour.is_on or is_close)) * patience
         if is_there or (detour.is_on and (remaining < _NEAR or (has_few and is_late))):
             # With few postures at the goal, the arm goes for it from wherever the way to one has led.
             detour = detour._replace(nearest=q, waited=0.0, is_on=False)
@@ -249,30 +257,33 @@ class Detours:
             )
 
     def _straight(self, statics: Statics, postures: Array) -> Array | None:
-        """The straight way to one of the postures (N, n) that costs least: 1 for each radian, and for each ε on it."""
+        """The straight way to one of the postures (N, n) that costs least: its duration, and `_PRESSING` for ε."""
         best, least = None, np.inf
-        for posture in postures[:_CANDIDATES]:
-            way = float(np.linalg.norm(posture - statics.start))
-            if way >= least:
+        times = durations(self.arm, statics.start, postures)
+        for number in np.argsort(times, kind="stable")[:_CANDIDATES]:
+            if times[number] >= least:
                 break
-            share, force = statics.reach(statics.start, posture, self.permitted_force)
-            if share == 1.0 and way + force / self.permitted_force < least:
-                best, least = posture[None], way + force / self.permitted_force
+            share, force = statics.reach(statics.start, postures[number], self.permitted_force)
+            cost = times[number] + _PRESSING * force / self.permitted_force
+            if share == 1.0 and cost < least:
+                best, least = postures[number][None], cost
         return best
 
     def _search(self, statics: Statics, postures: Array, number: int) -> Array | None:
-        """The shortest of a few paths to some of the postures (N, n)."""
+        """The quickest of a few paths to some of the postures (N, n)."""
         random, start = np.random.default_rng(number), float(statics.forces(statics.start[None])[0])
         forces = statics.forces(postures)
         # Later searches look for what is more likely to be found.
         shares = _SHARES[number > 0 :]
         for share in shares:
-            goals = postures[forces <= share * self.permitted_force]
+            # At some goals every posture presses nearly as hard as permitted.
+            most = max(share * self.permitted_force, share and min(forces.min() + _SLACK, self.permitted_force))
+            goals = postures[forces <= most]
             if not len(goals):
                 continue
             goals = np.concatenate([goals[:_CANDIDATES], random.permutation(goals[_CANDIDATES:])[:_CANDIDATES]])
             # An arm that presses harder may go on from where it is.
-            limit = max(share * self.permitted_force, min(start + _SLACK, _MESH * self.permitted_force))
+            limit = max(most, min(start + _SLACK, _MESH * self.permitted_force))
             left = _ITERATIONS // len(shares)
             paths: list[Array] = []
             while left and len(paths) < _PATHS:
@@ -285,7 +296,7 @@ class Detours:
                     if not presses[int(presses.argmin()) :].any():
                         paths.append(way)
             if paths:
-                return min(paths, key=length)[1:]
+                return min(paths, key=functools.partial(duration, self.arm))[1:]
         return None
 
 
@@ -293,11 +304,11 @@ def _distance(arm: Arm, q: Array, goal: Target) -> tuple[float, float, float]:
     """How far the goal is, both together; in m; in rad."""
     rotations, origins = link_frames(arm, q)
     offset, angle = float(np.linalg.norm(origins[-1] - goal.position)), goal.angle(rotations[-1])
-    return offset + _METRES_PER_RADIAN * angle, offset, angle
+    return offset + METRES_PER_RADIAN * angle, offset, angle
 
 
-def _is_there(offset: float, angle: float) -> bool:
-    return offset < _THERE[0] and angle < _THERE[1]
+def _is_within(limits: tuple[float, float], offset: float, angle: float) -> bool:
+    return offset < limits[0] and angle < limits[1]
 
 
 def _postures(arm: Arm, q: Array, goal: Target, number: int) -> Iterator[Array]:

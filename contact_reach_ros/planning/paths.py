@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.arm.capsules import moving, shape_segments
 from contact_reach_ros.arm.inverse_kinematics import pose_errors
+from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.planning.obstacles import Network
 from contact_reach_ros.world.collision import GOAL_CLEARANCE, nearest, overlap_depths
 from contact_reach_ros.world.goal import Target
@@ -25,6 +26,10 @@ _RESOLUTION = 0.02
 _STEP, _LEAST_STEP = 1.0, 0.05
 """Largest step towards a sample, and the smallest that counts as a step, rad; towards the other tree the arm goes all
 the way."""
+_SPEEDS = 0.5, 0.12
+"""Of the joints together, rad/s, and of the tip, m/s, on a detour; γ bounds the latter."""
+_LOOKS = 9
+"""Postures on a straight motion between which the tip's way is measured."""
 _CHUNK = 32
 """Postures on a motion that are looked at together."""
 
@@ -200,6 +205,20 @@ def shortened(
         if last - first > 1 and statics.reach(path[first], path[last], limit)[0] == 1.0:
             path = np.concatenate([path[:first], spaced(path[[first, last]], spacing), path[last + 1 :]])
     return path
+
+
+def durations(arm: Arm, start: Array, ends: Array) -> Array:
+    """(N,) s, about what straight motions from a posture (n,) to others (N, n), rad, take: joints or tip are slow."""
+    ways = start + np.linspace(0.0, 1.0, _LOOKS)[:, None, None] * (ends - start)
+    tips = tip_positions(arm, ways.reshape(-1, arm.n)).reshape(*ways.shape[:2], 3)
+    tip = np.linalg.norm(np.diff(tips, axis=0), axis=2).sum(axis=0)
+    found: Array = np.maximum(np.linalg.norm(ends - start, axis=1) / _SPEEDS[0], tip / _SPEEDS[1])
+    return found
+
+
+def duration(arm: Arm, path: Array) -> float:
+    """About what a path (P, n), rad, takes, s."""
+    return sum(float(durations(arm, start, end[None])[0]) for start, end in itertools.pairwise(path))
 
 
 def length(path: Array) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.agreement import plan_basis
-from contact_reach_ros.arm import Arm, Array
+from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.control.references import MAX_PLAN_DURATION, Reference
 from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
@@ -247,15 +247,16 @@ class RecedingHorizonPlanner:
 
     def _approach_of(self, plan: Plan, request: Request) -> Approach:
         """Progress towards the goal when the plan takes effect."""
-        position, memory = plan.predicted_positions[0], self.memory
+        position, memory, settings = plan.predicted_positions[0], self.memory, self._settings
+        rotation = link_frames(self._arm, plan.predicted_q[0])[0][-1]
+        angle = request.goal.angle(rotation) if settings.orientation_weight else 0.0
         if memory is None or not request.goal.is_near(memory.request.goal) or request.on_detour:
-            return Approach(position)
-        settings = self._settings
+            return Approach(position, angle=angle)
         elapsed = (plan.effect_ns - memory.trajectories[-1].effect_ns) * 1e-9
         is_firm = bool((plan.predicted_contact_forces > self._permitted_force).any())
         least_speed = plan.speed_scale * LEAST_SPEED * self._speed
         goal, patience = request.goal.position, settings.contact_patience
-        return memory.approach.updated(position, goal, elapsed, patience, least_speed, is_firm)
+        return memory.approach.updated(position, goal, elapsed, patience, least_speed, is_firm, angle)
 
     def _joints(self, name: str, values: ArrayLike) -> Array:
         array = np.array(values, dtype=float)

@@ -68,8 +68,8 @@ class PlanningSettings(Settings):
     )
     detour_patience: float = setting(
         1.0,
-        "time without progress towards the goal after which the arm takes a detour through joint space to "
-        "another posture in which it is at the goal; 0 for never",
+        "time without progress towards the goal, twice that close to it, after which the arm takes a detour through "
+        "joint space to another posture in which it is at the goal; 0 for never",
         unit="s",
         minimum=0.0,
         maximum=60.0,

@@ -84,8 +84,8 @@ class Rollout(NamedTuple):
     """(H + 1, ...) capsules of the links at the knot boundaries."""
 
 
-JOINT_LIMIT_MARGIN = 0.05
-"""Distance from a joint's limit at which its cost starts, rad: a quarter of what γ lets a joint move in a knot."""
+JOINT_LIMIT_MARGIN = 0.025
+"""Distance from a joint's limit at which its cost starts, rad: a little before the controller pushes it away."""
 
 CLEARANCE_MARGIN = 0.02
 """Distance from rigid bodies, and between the arm's own capsules, at which their cost starts, m: two steps of γ."""
@@ -266,11 +266,11 @@ def detour(context: Context) -> jax.Array:
     return jnp.sqrt(sum_over(error * error, 0) + 1e-6)
 
 
-@term(80.0)
+@term(160.0)
 def joint_limit(context: Context) -> jax.Array:
     """Squared intrusion of the joints into the margin of their position limits, rad².
 
-    Half of the margin costs as much as 50 mm to the goal: the cost holds joints off their stops, not off the margin.
+    Half of the margin costs as much as 25 mm to the goal: the cost holds joints off their stops, not off the margin.
     """
     q, arm = context.q[:, 1:], context.arm
     beyond = jnp.maximum(q - arm.upper[:, None, None], arm.lower[:, None, None] - q)
@@ -342,9 +342,12 @@ def _length(vectors: jax.Array) -> jax.Array:
 LEAST_SPEED = 0.3
 """Mean speed of approach down to which contact may slow the arm, as a share of what γ permits."""
 
+METRES_PER_RADIAN = 0.2
+"""How far from the goal the arm is for each radian of its angle to it, m."""
+
 _LEAST_SHARE = 0.01
-_THERE = 0.005
-"""Distance to the goal within which the arm counts as arrived, not as delayed, m."""
+_THERE = 0.005, 0.03
+"""Distance, m, and angle, rad, within which the arm counts as arrived at the goal, not as delayed."""
 
 
 class Approach(NamedTuple):
@@ -359,13 +362,22 @@ class Approach(NamedTuple):
     """(3,) of the flange, m: goals may move."""
     share: float = 1.0
     """Share of the weight of permitted contact for the next plan."""
+    angle: float = 0.0
+    """Of the flange to the goal, rad."""
 
     def weights(self, settings: PlanningSettings) -> dict[str, float]:
         """Weights of terms for the next plan, by their names."""
         return {"contact": self.share * settings.contact_weight}
 
     def updated(
-        self, position: Array, goal: Array, elapsed: float, patience: float, least_speed: float, is_firm: bool = False
+        self,
+        position: Array,
+        goal: Array,
+        elapsed: float,
+        patience: float,
+        least_speed: float,
+        is_firm: bool = False,
+        angle: float = 0.0,
     ) -> Approach:
         """Progress after some more time.
 
@@ -384,12 +396,16 @@ class Approach(NamedTuple):
             Mean speed of approach below which the arm is behind, m/s; 0 and infinity keep the share as it is.
         is_firm
             Whether the expected contact is stronger than permitted.
+        angle
+            Of the flange to the goal, rad; it counts as `METRES_PER_RADIAN`.
         """
         share, distance = self.share, math.dist(position, goal)
-        if patience > 0.0 and 0.0 < least_speed < math.inf and distance > _THERE:
-            ahead = (math.dist(self.position, goal) - distance) / least_speed - elapsed
+        is_there = distance <= _THERE[0] and angle <= _THERE[1]
+        if patience > 0.0 and 0.0 < least_speed < math.inf and not is_there:
+            nearer = math.dist(self.position, goal) - distance + METRES_PER_RADIAN * (self.angle - angle)
+            ahead = nearer / least_speed - elapsed
             if is_firm:
                 ahead = max(ahead, elapsed)
             # The limits keep the exponential finite, whatever happened in between.
             share = min(max(share * math.exp(min(max(ahead / patience, -10.0), 10.0)), _LEAST_SHARE), 1.0)
-        return Approach(position, share)
+        return Approach(position, share, angle)

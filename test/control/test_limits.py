@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.control.constants import make_constants, torque_rates
-from contact_reach_ros.control.kernels import FADE, REPULSION_MARGIN, limit_torque
+from contact_reach_ros.control.kernels import FADE, REPULSION_MARGIN, limit_torque, repulsion_torques
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import JOINT_SHARE, LimitSettings
 
@@ -66,6 +66,24 @@ def test_plans_that_drive_a_joint_into_its_limit_do_not_get_there(joint, side):
         near = near or side * loop.q[joint] > POSITION_LIMITS[joint] - REPULSION_MARGIN
         assert side * loop.q[joint] < POSITION_LIMITS[joint]
     assert near
+
+
+def test_the_outer_half_of_the_margin_brakes_and_does_not_push():
+    """A goal may need a joint that is near its limit."""
+
+    def torques(room: float, speed: float) -> tuple[float, float]:
+        q, v = HOME.copy(), np.zeros(ARM.n)
+        q[0], v[0] = POSITION_LIMITS[0] - room * REPULSION_MARGIN, speed
+        pushing, stopping = repulsion_torques(CONSTANTS, np.eye(ARM.n), q, v)
+        assert not pushing[1:].any() and not stopping[1:].any()
+        return float(pushing[0]), float(stopping[0])
+
+    assert torques(0.51, 0.0) == (0.0, 0.0) == torques(1.01, 1.0)
+    pushing, stopping = torques(0.7, 0.5)
+    assert pushing == 0.0 and stopping < 0.0
+    assert torques(0.51, 0.5)[1] < stopping
+    assert torques(0.0, 0.0)[0] < 3.0 * torques(0.25, 0.0)[0] < 0.0
+    assert torques(0.51, -1.0) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("joint", [0, 4, 5, 6])

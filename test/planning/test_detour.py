@@ -16,7 +16,7 @@ from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import PlanningError, UnreachableError
 from contact_reach_ros.planning.detour import Detour, Detours
-from contact_reach_ros.planning.paths import Statics, length
+from contact_reach_ros.planning.paths import Statics, duration, durations, length
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.world.collision import nearest
@@ -27,6 +27,7 @@ from contact_reach_ros.world.spheres import Spheres, obstacle_spheres, rest_posi
 GOAL = Target(ORIGINS[-1] + np.array([0.1, 0.15, -0.1]), ROTATIONS[-1])
 PERIOD = 0.04
 DETOURS = Detours(ARM, SMALL, PERMITTED_FORCE)
+SLALOM = load_scene("slalom")
 
 
 def followed(last: Request, q: np.ndarray, seconds: float = PERIOD, **changes: Any) -> Request:
@@ -39,6 +40,22 @@ def followed(last: Request, q: np.ndarray, seconds: float = PERIOD, **changes: A
 
 def begin(**changes: Any) -> Request:
     return DETOURS.target(Request(HOME, REST, 0, 0, GOAL, Spheres.none())._replace(**changes), None)
+
+
+def slalom_and_goal() -> tuple[Spheres, Target]:
+    return obstacle_spheres(SLALOM, rest_positions(SLALOM)), Target(SLALOM.goal.position)
+
+
+def statics_of(spheres: Spheres, goal: Target) -> Statics:
+    return Statics(SLALOM.arm, spheres, SMALL.contact_stiffness, SLALOM.start, goal)
+
+
+def late(spheres: Spheres, goal: Target) -> Request:
+    """In the slalom, after the arm has waited at its start."""
+    detours = Detours(SLALOM.arm, SMALL, PERMITTED_FORCE)
+    last = detours.target(Request(SLALOM.start, REST, 0, 0, goal, spheres), None)
+    last = last._replace(detour=last.detour._replace(waited=SMALL.detour_patience))
+    return detours.target(last._replace(effect_ns=last.effect_ns + 40 * MS), last)
 
 
 def test_without_progress_a_detour_leads_to_another_posture_at_the_goal():
@@ -131,16 +148,13 @@ def test_no_detour_leads_into_more_force_than_permitted():
 
 def test_a_path_leads_around_what_is_in_the_straight_ways():
     """Through the slalom of the paper's authors, to which no straight way in joint space leads."""
-    scene = load_scene("slalom")
-    spheres, goal = obstacle_spheres(scene, rest_positions(scene)), Target(scene.goal.position)
-    detours, q = Detours(scene.arm, SMALL, PERMITTED_FORCE), scene.start
-    last = detours.target(Request(q, REST, 0, 0, goal, spheres), None)
-    last = last._replace(detour=last.detour._replace(waited=SMALL.detour_patience))
-    request = detours.target(last._replace(effect_ns=last.effect_ns + 40 * MS), last)
+    spheres, goal = slalom_and_goal()
+    detours, q = Detours(SLALOM.arm, SMALL, PERMITTED_FORCE), SLALOM.start
+    request = late(spheres, goal)
     path = np.concatenate([q[None], request.detour.path])
     assert request.on_detour == 1 and length(path) > 1.0
-    np.testing.assert_allclose(link_frames(scene.arm, path[-1])[1][-1], goal.position, atol=2e-4)
-    statics = Statics(scene.arm, spheres, SMALL.contact_stiffness, q, goal)
+    np.testing.assert_allclose(link_frames(SLALOM.arm, path[-1])[1][-1], goal.position, atol=2e-4)
+    statics = statics_of(spheres, goal)
     assert statics.reach(q, path[-1], 0.0)[0] < 1.0
     assert all(statics.reach(a, b, 0.0) == (1.0, 0.0) for a, b in itertools.pairwise(path))
     # Plans lead a little ahead, then to the posture at the end.
@@ -148,6 +162,46 @@ def test_a_path_leads_around_what_is_in_the_straight_ways():
     assert len(on.detour.path) < len(request.detour.path) - 2
     assert 0.5 <= np.linalg.norm(on.detour.posture - path[3]) < 1.0
     assert on.on_detour == 1 and on.detour.waited == 0.0
+
+
+def test_a_path_leads_to_a_goal_where_every_posture_presses_nearly_as_hard_as_permitted():
+    slalom, goal = slalom_and_goal()
+    # With the orientation at the end of a way, so that the tip is as deep in a ball there in every posture.
+    end = late(slalom, goal).detour.path[-1]
+    goal, soft = Target(goal.position, link_frames(SLALOM.arm, end)[0][-1]), ball_at(goal.position)
+
+    def among(stiffness: float) -> tuple[Spheres, float]:
+        parts = {name: np.concatenate([getattr(slalom, name), getattr(soft, name)]) for name in ("center", "rest")}
+        parts |= {name: np.append(getattr(slalom, name), getattr(soft, name)) for name in ("radius", "damping")}
+        spheres = dataclasses.replace(slalom, **parts, stiffness=np.append(slalom.stiffness, stiffness))
+        return spheres, float(statics_of(spheres, goal).forces(end[None])[0])
+
+    spheres = next(found for found, force in map(among, np.arange(20.0, 400.0)) if force > 0.87 * PERMITTED_FORCE)
+    forces = statics_of(spheres, goal).forces(late(spheres, goal).detour.path)
+    assert 0.8 * PERMITTED_FORCE < forces[-1] <= PERMITTED_FORCE and len(forces) > 3
+    assert forces.max() <= PERMITTED_FORCE
+
+
+def test_near_the_goal_the_arm_waits_twice_as_long():
+    ahead, turned = ORIGINS[-1] + np.array([0.0, 0.0, -0.03]), ARM.n - 1
+    near, far = Target(ahead, ROTATIONS[-1]), Target(ahead - np.array([0.0, 0.0, 0.05]), ROTATIONS[-1])
+    assert followed(begin(goal=near), HOME, 1.9).detour.number == 0
+    assert followed(begin(goal=near), HOME, 2.2).on_detour == 1
+    assert followed(begin(goal=far), HOME, 1.2).on_detour == 1
+    # The flange is turned away.
+    askew = HOME + 0.4 * np.eye(ARM.n)[turned]
+    assert followed(begin(goal=near, q=askew), askew, 1.2).on_detour == 1
+
+
+def test_the_straight_way_that_is_taken_is_the_quickest():
+    """The tip is slow: the longer way in joint space may take less time."""
+    shoulder, hand = 1.0 * np.eye(ARM.n)[0], 1.5 * np.eye(ARM.n)[-1]
+    swing = float(np.linalg.norm(ORIGINS[-1][:2]))
+    found = durations(ARM, HOME, HOME + np.array([shoulder, hand, np.zeros(ARM.n)]))
+    np.testing.assert_allclose(found, [swing / 0.12, 1.5 / 0.5, 0.0], rtol=0.01, atol=1e-9)
+    assert duration(ARM, HOME + np.array([np.zeros(ARM.n), hand, shoulder + hand])) == pytest.approx(found[:2].sum())
+    way = DETOURS._straight(DETOURS._statics(begin()), HOME + np.array([shoulder, hand]))
+    np.testing.assert_array_equal(way, [HOME + hand])
 
 
 def test_contact_costs_less_the_longer_the_arm_waits_on_a_detour():

@@ -68,6 +68,17 @@ def test_progress_is_towards_the_goal_as_it_is_now():
         assert approach.updated(at(0.3), goal, 0.5, 0.5, SPEED).share == pytest.approx(0.1 / math.e)
 
 
+def test_an_arm_that_is_where_it_should_be_but_not_as_it_should_is_behind():
+    """Contact that holds the flange askew must become cheap, too."""
+
+    def share(before: float, now: float) -> float:
+        return Approach(ORIGIN, 0.5, before).updated(ORIGIN, ORIGIN, 0.5, 0.5, SPEED, angle=now).share
+
+    assert share(0.1, 0.1) == pytest.approx(0.5 / math.e)
+    assert share(0.15, 0.1) == pytest.approx(0.5)
+    assert share(0.1, 0.02) == 0.5
+
+
 def test_the_weight_of_contact_falls_for_one_goal_only(planner, monkeypatch):
     """One and the same contact, while the arm is told to be where it was, again and again."""
     monkeypatch.setattr(planner, "_settings", dataclasses.replace(SMALL, contact_patience=0.1))
