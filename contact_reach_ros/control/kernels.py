@@ -50,6 +50,7 @@ class Constant(IntEnum):
     IMPACT_ENERGY = 17
     TORQUE_DELAY = 18
     HOLD = 19
+    PUSHING = 20
 
 
 _POSITION_ROWS, _AXIS_ROWS = 3, 5
@@ -61,8 +62,6 @@ _REPULSION = 250.0
 """Acceleration by the repulsion at a position limit, rad/s²: law (1) asks for less within its bounds."""
 REPULSION_MARGIN = 0.04
 """Distance to a position limit at which repulsion begins to brake, rad: a fast joint needs it to come to rest."""
-_PUSHING = 0.5
-"""Share of that margin, next to the limit, in which it pushes: goals may need a joint near its limit."""
 _POSTURE_REACH = 0.25
 """Distance of a joint from its reference posture beyond which law (2) pulls no harder, rad: plans ask for less."""
 
@@ -581,7 +580,7 @@ def repulsion_torques(constants: Array, mass_matrix: Array, q: Array, v: Array) 
         if depth > 0.0:
             approach = max(side * v[i], 0.0)
             share = approach / (approach + _APPROACH)
-            inner = min(max(1.0 - (1.0 - depth) / _PUSHING, 0.0), 1.5)
+            inner = min(max(1.0 - (1.0 - depth) / constants[Constant.PUSHING, i], 0.0), 1.5)
             spring = min(strength[i], _REPULSION * mass_matrix[i, i]) * inner * inner
             pushing[i] = -side * spring * (1.0 - share)
             stopping[i] = -side * (spring * share + depth * damping[i] * approach)

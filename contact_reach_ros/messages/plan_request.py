@@ -57,7 +57,8 @@ def request_parts(number: int, request: Request, memory: Memory | None, found: A
         parts["last goal"] = _goal_numbers(memory.request.goal)
         parts["last effect"] = np.array([memory.request.effect_ns - request.state_ns])
         parts["best"] = memory.best
-        parts["approach"] = np.array([*memory.approach.position, *memory.approach[1:]])
+        position, share, rotation = memory.approach
+        parts["approach"] = np.array([*position, share, *(() if rotation is None else np.ravel(rotation))])
         detour = memory.request.detour
         if detour is not None:
             progress = detour.waited, detour.number, detour.is_on
@@ -102,9 +103,10 @@ def read_memory(parts: Parts, request: Request, knot_duration_s: float, ramp_s: 
         detour = Detour(nearest, waited, int(number), bool(is_on), np.array(postures), path)
     effect_ns = request.state_ns + int(parts["last effect"][0])
     last = request._replace(effect_ns=effect_ns, goal=_goal(parts["last goal"]), detour=detour)
-    # Bags of 0.2 lack the angle.
-    position, progress = parts["approach"][:3], parts["approach"][3:].tolist()
-    approach, plans = Approach(position, *progress), int(parts["plans since reset"][0])
+    position, share, rotation = np.split(parts["approach"], [3, 4])
+    # Bags of 0.2 lack the rotation.
+    approach = Approach(position, float(share[0]), rotation.reshape(3, 3) if rotation.size else None)
+    plans = int(parts["plans since reset"][0])
     return Memory(trajectories, last, parts["best"], None, approach, plans)
 
 

@@ -172,7 +172,13 @@ class Detours:
     def may_search(self, request: Request) -> bool:
         """Whether the plan after this one may wait for a search, since the arm makes no progress."""
         detour = request.detour
-        return detour is not None and detour.waited >= _SOON * self.settings.detour_patience
+        return detour is not None and detour.waited >= _SOON * self._patience(detour, request)
+
+    def _patience(self, detour: Detour, request: Request) -> float:
+        """How long the arm waits, s: where it presses, or is likely to, it takes long before contact costs little."""
+        *_, offset, angle = _distance(self.arm, request.q, request.goal)
+        is_close = bool(len(request.spheres)) and _is_within(_CLOSE, offset, angle)
+        return (1 + (detour.is_on or is_close)) * self.settings.detour_patience
 
     def _follow(self, detour: Detour, request: Request, elapsed: float) -> Detour:
         """The progress `elapsed` seconds later."""
@@ -184,7 +190,7 @@ class Detours:
             if request.goal.moves or has_few:
                 return detour._replace(waited=0.0)
             # It may come back by itself.
-            return detour._replace(nearest=q, waited=-_PUSHED_AWAY * patience)
+            return detour._replace(nearest=q, waited=self._patience(detour, request) - (1 + _PUSHED_AWAY) * patience)
         remaining, before = now, least[0]
         if detour.is_on:
             while len(detour.path) > 1 and np.linalg.norm(q - detour.posture) < _AHEAD:
@@ -197,9 +203,7 @@ class Detours:
             detour = detour._replace(nearest=q, waited=0.5 * detour.waited * detour.is_on)
         else:
             detour = detour._replace(waited=detour.waited + elapsed)
-        # Where the arm presses it has waited long before contact costs little.
-        is_close = _is_within(_CLOSE, offset, angle)
-        is_late = detour.waited >= (1 + (detour.is_on or is_close)) * patience
+        is_late = detour.waited >= self._patience(detour, request)
         if is_there or (detour.is_on and (remaining < _NEAR or (has_few and is_late))):
             # With few postures at the goal, the arm goes for it from wherever the way to one has led.
             detour = detour._replace(nearest=q, waited=0.0, is_on=False)
@@ -251,9 +255,9 @@ class Detours:
         if count:
             raise UnreachableError(
                 f"cannot be reached within the contact budget: each of {count} postures at the goal at "
-                f"{np.round(goal.position, 3).tolist()} m presses with {least:.1f} N or more, permitted "
-                f"{self.permitted_force:g} N; move what is in the way, give another position or orientation, or leave "
-                "the orientation free"
+                f"{np.round(goal.position, 3).tolist()} m, {_MARGINS[-1]:g} rad or more from the joints' limits, "
+                f"presses with {least:.1f} N or more, permitted {self.permitted_force:g} N; move what is in the way, "
+                "give another position or orientation, or leave the orientation free"
             )
 
     def _straight(self, statics: Statics, postures: Array) -> Array | None:

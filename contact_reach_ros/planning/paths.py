@@ -26,8 +26,8 @@ _RESOLUTION = 0.02
 _STEP, _LEAST_STEP = 1.0, 0.05
 """Largest step towards a sample, and the smallest that counts as a step, rad; towards the other tree the arm goes all
 the way."""
-_SPEEDS = 0.5, 0.12
-"""Of the joints together, rad/s, and of the tip, m/s, on a detour; γ bounds the latter."""
+_PACE = 0.5, 0.12
+"""Of the joints together, rad/s, and of the tip, m/s, on a detour, with the default γ."""
 _LOOKS = 9
 """Postures on a straight motion between which the tip's way is measured."""
 _CHUNK = 32
@@ -212,7 +212,7 @@ def durations(arm: Arm, start: Array, ends: Array) -> Array:
     ways = start + np.linspace(0.0, 1.0, _LOOKS)[:, None, None] * (ends - start)
     tips = tip_positions(arm, ways.reshape(-1, arm.n)).reshape(*ways.shape[:2], 3)
     tip = np.linalg.norm(np.diff(tips, axis=0), axis=2).sum(axis=0)
-    found: Array = np.maximum(np.linalg.norm(ends - start, axis=1) / _SPEEDS[0], tip / _SPEEDS[1])
+    found: Array = np.maximum(np.linalg.norm(ends - start, axis=1) / _PACE[0], tip / _PACE[1])
     return found
 
 

@@ -248,15 +248,13 @@ class RecedingHorizonPlanner:
     def _approach_of(self, plan: Plan, request: Request) -> Approach:
         """Progress towards the goal when the plan takes effect."""
         position, memory, settings = plan.predicted_positions[0], self.memory, self._settings
-        rotation = link_frames(self._arm, plan.predicted_q[0])[0][-1]
-        angle = request.goal.angle(rotation) if settings.orientation_weight else 0.0
+        rotation = link_frames(self._arm, plan.predicted_q[0])[0][-1] if settings.orientation_weight else None
         if memory is None or not request.goal.is_near(memory.request.goal) or request.on_detour:
-            return Approach(position, angle=angle)
+            return Approach(position, rotation=rotation)
         elapsed = (plan.effect_ns - memory.trajectories[-1].effect_ns) * 1e-9
         is_firm = bool((plan.predicted_contact_forces > self._permitted_force).any())
-        least_speed = plan.speed_scale * LEAST_SPEED * self._speed
-        goal, patience = request.goal.position, settings.contact_patience
-        return memory.approach.updated(position, goal, elapsed, patience, least_speed, is_firm, angle)
+        least_speed, patience = plan.speed_scale * LEAST_SPEED * self._speed, settings.contact_patience
+        return memory.approach.updated(position, request.goal, elapsed, patience, least_speed, is_firm, rotation)
 
     def _joints(self, name: str, values: ArrayLike) -> Array:
         array = np.array(values, dtype=float)

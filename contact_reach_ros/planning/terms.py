@@ -32,6 +32,7 @@ from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.dynamics import Capsules
 from contact_reach_ros.planning.transfer.model import ArmModel
 from contact_reach_ros.planning.transfer.pipeline import N_TASK, Pose, Reference
+from contact_reach_ros.world.goal import Target
 
 Number = float | jax.Array
 
@@ -85,7 +86,7 @@ class Rollout(NamedTuple):
 
 
 JOINT_LIMIT_MARGIN = 0.025
-"""Distance from a joint's limit at which its cost starts, rad: a little before the controller pushes it away."""
+"""Distance from a joint's limit at which its cost starts, rad, where the controller pushes little."""
 
 CLEARANCE_MARGIN = 0.02
 """Distance from rigid bodies, and between the arm's own capsules, at which their cost starts, m: two steps of γ."""
@@ -346,7 +347,7 @@ METRES_PER_RADIAN = 0.2
 """How far from the goal the arm is for each radian of its angle to it, m."""
 
 _LEAST_SHARE = 0.01
-_THERE = 0.005, 0.03
+_ARRIVED = 0.005, 0.04
 """Distance, m, and angle, rad, within which the arm counts as arrived at the goal, not as delayed."""
 
 
@@ -362,8 +363,8 @@ class Approach(NamedTuple):
     """(3,) of the flange, m: goals may move."""
     share: float = 1.0
     """Share of the weight of permitted contact for the next plan."""
-    angle: float = 0.0
-    """Of the flange to the goal, rad."""
+    rotation: Array | None = None
+    """(3, 3) of the flange; None if it does not count."""
 
     def weights(self, settings: PlanningSettings) -> dict[str, float]:
         """Weights of terms for the next plan, by their names."""
@@ -372,12 +373,12 @@ class Approach(NamedTuple):
     def updated(
         self,
         position: Array,
-        goal: Array,
+        goal: Target,
         elapsed: float,
         patience: float,
         least_speed: float,
         is_firm: bool = False,
-        angle: float = 0.0,
+        rotation: Array | None = None,
     ) -> Approach:
         """Progress after some more time.
 
@@ -386,8 +387,10 @@ class Approach(NamedTuple):
 
         Parameters
         ----------
-        position, goal
-            Present positions (3,) of the flange and of the goal, m.
+        position
+            Present position (3,) of the flange, m.
+        goal
+            Where it is to be now.
         elapsed
             Time since the last progress, s.
         patience
@@ -396,16 +399,20 @@ class Approach(NamedTuple):
             Mean speed of approach below which the arm is behind, m/s; 0 and infinity keep the share as it is.
         is_firm
             Whether the expected contact is stronger than permitted.
-        angle
-            Of the flange to the goal, rad; it counts as `METRES_PER_RADIAN`.
+        rotation
+            Present rotation (3, 3) of the flange; None if it does not count.
         """
-        share, distance = self.share, math.dist(position, goal)
-        is_there = distance <= _THERE[0] and angle <= _THERE[1]
+        share, distance = self.share, math.dist(position, goal.position)
+        before = math.dist(self.position, goal.position)
+        is_there = distance <= _ARRIVED[0]
+        if rotation is not None and self.rotation is not None:
+            angle = goal.angle(rotation)
+            is_there = is_there and angle <= _ARRIVED[1]
+            before += METRES_PER_RADIAN * (goal.angle(self.rotation) - angle)
         if patience > 0.0 and 0.0 < least_speed < math.inf and not is_there:
-            nearer = math.dist(self.position, goal) - distance + METRES_PER_RADIAN * (self.angle - angle)
-            ahead = nearer / least_speed - elapsed
+            ahead = (before - distance) / least_speed - elapsed
             if is_firm:
                 ahead = max(ahead, elapsed)
             # The limits keep the exponential finite, whatever happened in between.
             share = min(max(share * math.exp(min(max(ahead / patience, -10.0), 10.0)), _LEAST_SHARE), 1.0)
-        return Approach(position, share, angle)
+        return Approach(position, share, rotation)

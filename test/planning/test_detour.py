@@ -182,15 +182,20 @@ def test_a_path_leads_to_a_goal_where_every_posture_presses_nearly_as_hard_as_pe
     assert forces.max() <= PERMITTED_FORCE
 
 
-def test_near_the_goal_the_arm_waits_twice_as_long():
-    ahead, turned = ORIGINS[-1] + np.array([0.0, 0.0, -0.03]), ARM.n - 1
-    near, far = Target(ahead, ROTATIONS[-1]), Target(ahead - np.array([0.0, 0.0, 0.05]), ROTATIONS[-1])
-    assert followed(begin(goal=near), HOME, 1.9).detour.number == 0
-    assert followed(begin(goal=near), HOME, 2.2).on_detour == 1
-    assert followed(begin(goal=far), HOME, 1.2).on_detour == 1
-    # The flange is turned away.
-    askew = HOME + 0.4 * np.eye(ARM.n)[turned]
-    assert followed(begin(goal=near, q=askew), askew, 1.2).on_detour == 1
+def test_near_the_goal_the_arm_waits_twice_as_long_among_soft_obstacles():
+    """Contact becomes cheap meanwhile."""
+    beside, down = ball_at(ORIGINS[-1] + np.array([0.5, 0.5, 0.5])), np.array([0.0, 0.0, -1.0])
+    near, far = Target(ORIGINS[-1] + 0.03 * down, ROTATIONS[-1]), Target(ORIGINS[-1] + 0.08 * down, ROTATIONS[-1])
+
+    def searches(seconds: float, goal: Target, spheres: Spheres = beside, q: np.ndarray = HOME) -> int:
+        return followed(begin(goal=goal, spheres=spheres, q=q), q, seconds).detour.number
+
+    assert (searches(1.92, near), searches(2.2, near)) == (0, 1)
+    askew = HOME + 0.4 * np.eye(ARM.n)[-1]
+    assert searches(1.2, far) == searches(1.2, near, q=askew) == searches(1.2, near, Spheres.none()) == 1
+    # Only then may plans wait for a search.
+    waiting = followed(begin(goal=near, spheres=beside), HOME, 1.4)
+    assert not DETOURS.may_search(waiting) and DETOURS.may_search(followed(waiting, HOME, 0.4))
 
 
 def test_the_straight_way_that_is_taken_is_the_quickest():

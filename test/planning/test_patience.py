@@ -5,12 +5,14 @@ import math
 
 import numpy as np
 import pytest
-from arm_simulation import HOME, REST
+from arm_simulation import ARM, HOME, REST, rotation_about
 from planning_helpers import FLANGE, MS, SMALL, ball_at
 
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.terms import Approach
 from contact_reach_ros.world.goal import Target
+from contact_reach_ros.world.spheres import Spheres
 
 SPEED = 0.02
 BEHIND = np.full(20, 0.3)
@@ -18,6 +20,7 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 
 ORIGIN = np.zeros(3)
+GOAL = Target(ORIGIN)
 
 
 def at(distance: float) -> np.ndarray:
@@ -27,7 +30,7 @@ def at(distance: float) -> np.ndarray:
 def share_after(distances) -> float:
     approach = Approach(at(distances[0]))
     for distance in distances[1:]:
-        approach = approach.updated(at(distance), ORIGIN, elapsed=0.04, patience=0.5, least_speed=SPEED)
+        approach = approach.updated(at(distance), GOAL, elapsed=0.04, patience=0.5, least_speed=SPEED)
     return approach.share
 
 
@@ -54,7 +57,7 @@ def test_the_share_comes_back_as_the_arm_catches_up_and_never_exceeds_one():
 
 def test_the_share_comes_back_while_contact_is_firm():
     def share(distance: float, is_firm: bool) -> float:
-        return Approach(at(0.3), 0.1).updated(at(distance), ORIGIN, 0.5, 0.5, SPEED, is_firm).share
+        return Approach(at(0.3), 0.1).updated(at(distance), GOAL, 0.5, 0.5, SPEED, is_firm).share
 
     assert share(0.3, True) == pytest.approx(0.1 * math.e)
     # No slower than without.
@@ -65,18 +68,34 @@ def test_progress_is_towards_the_goal_as_it_is_now():
     """A goal that moves away is no delay, and one that comes no progress."""
     approach = Approach(at(0.3), 0.1)
     for goal in (at(0.02), at(-0.02)):
-        assert approach.updated(at(0.3), goal, 0.5, 0.5, SPEED).share == pytest.approx(0.1 / math.e)
+        assert approach.updated(at(0.3), Target(goal), 0.5, 0.5, SPEED).share == pytest.approx(0.1 / math.e)
 
 
 def test_an_arm_that_is_where_it_should_be_but_not_as_it_should_is_behind():
-    """Contact that holds the flange askew must become cheap, too."""
+    """Contact that holds the flange askew must become cheap, too. A goal that turns away is no delay."""
 
-    def share(before: float, now: float) -> float:
-        return Approach(ORIGIN, 0.5, before).updated(ORIGIN, ORIGIN, 0.5, 0.5, SPEED, angle=now).share
+    def share(before: float, now: float, goal: float = 0.0) -> float:
+        turned = lambda angle: rotation_about([0.0, 1.0, 0.0], angle)  # noqa: E731
+        approach, target = Approach(ORIGIN, 0.5, turned(before)), Target(ORIGIN, turned(goal))
+        return approach.updated(ORIGIN, target, 0.5, 0.5, SPEED, rotation=turned(now)).share
 
     assert share(0.1, 0.1) == pytest.approx(0.5 / math.e)
     assert share(0.15, 0.1) == pytest.approx(0.5)
-    assert share(0.1, 0.02) == 0.5
+    assert share(0.1, 0.03) == 0.5
+    assert share(0.1, 0.15, 0.5) == pytest.approx(0.5)
+    assert Approach(ORIGIN, 0.5).updated(ORIGIN, GOAL, 0.5, 0.5, SPEED).share == 0.5
+
+
+def test_contact_becomes_cheap_for_an_arm_that_is_at_its_goal_askew(planner):
+    def share(goal: Target) -> float:
+        planner.reset()
+        for time in range(0, 400, 40):
+            planner.plan(Request(HOME, REST, time * MS, time * MS, goal, Spheres.none()))
+        return planner.memory.approach.share
+
+    there = RobotModel(ARM).tip_pose(HOME)[1]
+    assert share(Target(FLANGE, rotation_about([0.0, 1.0, 0.0], 0.2) @ there)) < 0.7
+    assert share(Target(FLANGE, there)) == share(Target(FLANGE)) == 1.0
 
 
 def test_the_weight_of_contact_falls_for_one_goal_only(planner, monkeypatch):

@@ -62,6 +62,13 @@ def test_a_plan_is_made_again_from_its_message_alone(planner, before, goal):
     parts = request_parts(first.number, request, memory, planner.memory.best)
     check_same(plan_again(planner, parts, request), first)
     if before:
+        again, kept = read_memory(parts, request, SMALL.knot_duration, RAMP_S).approach, memory.approach
+        for name in ("position", "share", "rotation"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(kept, name))
+        # As in bags of 0.2.
+        parts_then = parts | {"approach": parts["approach"][:4]}
+        then = read_memory(parts_then, request, SMALL.knot_duration, RAMP_S).approach
+        assert then.share == kept.share and then.rotation is None
         # What it started from matters.
         alone = plan_again(planner, {name: part for name, part in parts.items() if name != "best"}, request)
         assert alone.cost != pytest.approx(first.cost, rel=1e-3)
