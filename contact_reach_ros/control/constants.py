@@ -24,9 +24,6 @@ from contact_reach_ros.timing import PERIOD
 
 REPULSION_SHARE = 0.5
 """Repulsion at the position limit, as a share of the joint's torque limit: the other half is left to carry the arm."""
-PUSHING, _PER_DELAY = 0.75, 50.0
-"""Share of the margin, next to the limit, in which the repulsion pushes, since goals may need a joint near its limit;
-and how much more for each second that torques are late: a steep push would shake the joint."""
 REPULSION_DAMPING = 10.0
 """Damping of motion towards a limit, at the limit, N m s/rad, for the strongest joint; the others' are in proportion to
 their torque limits. Without it the repulsion would throw the joint back."""
@@ -76,7 +73,6 @@ def make_constants(
         Constant.IMPACT_ENERGY: IMPACT_ENERGY,
         Constant.TORQUE_DELAY: limits.torque_delay,
         Constant.HOLD: np.array(arm.default("handover_thresholds") if hold is None else hold),
-        Constant.PUSHING: min(PUSHING + _PER_DELAY * limits.torque_delay, 1.0),
     }
     return np.array([np.broadcast_to(values[row], arm.n) for row in Constant])
 

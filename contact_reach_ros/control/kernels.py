@@ -50,7 +50,6 @@ class Constant(IntEnum):
     IMPACT_ENERGY = 17
     TORQUE_DELAY = 18
     HOLD = 19
-    PUSHING = 20
 
 
 _POSITION_ROWS, _AXIS_ROWS = 3, 5
@@ -61,7 +60,7 @@ _APPROACH = 0.2
 _REPULSION = 250.0
 """Acceleration by the repulsion at a position limit, rad/s²: law (1) asks for less within its bounds."""
 REPULSION_MARGIN = 0.04
-"""Distance to a position limit at which repulsion begins to brake, rad: a fast joint needs it to come to rest."""
+"""Distance to a position limit at which repulsion begins, rad: a fast joint needs it to come to rest."""
 _POSTURE_REACH = 0.25
 """Distance of a joint from its reference posture beyond which law (2) pulls no harder, rad: plans ask for less."""
 
@@ -563,12 +562,12 @@ def law_torques(
 
 @_compiled()
 def repulsion_torques(constants: Array, mass_matrix: Array, q: Array, v: Array) -> tuple[Array, Array]:
-    """Torques (n,) in N m that push joints away from their position limits, and that brake them in a margin before.
+    """Torques (n,) in N m that push joints out of a margin before their position limits, and that brake them there.
 
-    The push grows with the square of the depth in the inner part of the margin, so that it starts without a step. At
-    the position limit it is the given share of the joint's torque limit, or what accelerates the joint with
-    `_REPULSION`. It brakes a joint that approaches the limit, with damping that grows with the depth in the whole
-    margin, and pushes one that does not: that push is one of those that the caps bound.
+    The sum grows with the square of the depth, so that it starts without a step. At the position limit it is the given
+    share of the joint's torque limit, or what accelerates the joint with `_REPULSION`. It brakes a joint that
+    approaches the limit, with damping that grows in the same way, and pushes one that does not: that push is one of
+    those that the caps bound.
     """
     n = len(q)
     lower, upper = constants[Constant.LOWER_THRESHOLD], constants[Constant.UPPER_THRESHOLD]
@@ -580,10 +579,9 @@ def repulsion_torques(constants: Array, mass_matrix: Array, q: Array, v: Array) 
         if depth > 0.0:
             approach = max(side * v[i], 0.0)
             share = approach / (approach + _APPROACH)
-            inner = min(max(1.0 - (1.0 - depth) / constants[Constant.PUSHING, i], 0.0), 1.5)
-            spring = min(strength[i], _REPULSION * mass_matrix[i, i]) * inner * inner
-            pushing[i] = -side * spring * (1.0 - share)
-            stopping[i] = -side * (spring * share + depth * damping[i] * approach)
+            spring = min(strength[i], _REPULSION * mass_matrix[i, i]) * depth
+            pushing[i] = -side * depth * spring * (1.0 - share)
+            stopping[i] = -side * depth * (spring * share + damping[i] * approach)
     return pushing, stopping
 
 

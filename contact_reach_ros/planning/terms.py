@@ -86,7 +86,7 @@ class Rollout(NamedTuple):
 
 
 JOINT_LIMIT_MARGIN = 0.025
-"""Distance from a joint's limit at which its cost starts, rad, where the controller pushes little."""
+"""Distance from a joint's limit at which its cost starts, rad: plans lean against the controller's push before."""
 
 CLEARANCE_MARGIN = 0.02
 """Distance from rigid bodies, and between the arm's own capsules, at which their cost starts, m: two steps of γ."""

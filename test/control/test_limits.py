@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from contact_reach_ros.control.constants import make_constants, torque_rates
-from contact_reach_ros.control.kernels import FADE, REPULSION_MARGIN, limit_torque, repulsion_torques
+from contact_reach_ros.control.kernels import FADE, REPULSION_MARGIN, limit_torque
 from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import JOINT_SHARE, ImpedanceSettings, LimitSettings
 from contact_reach_ros.simulation.plant import FRICTION, TICK
@@ -86,25 +86,6 @@ def test_plans_that_drive_a_joint_into_its_limit_do_not_get_there(joint, side, d
         near = near or side * loop.q[joint] > POSITION_LIMITS[joint] - REPULSION_MARGIN
         assert side * loop.q[joint] < POSITION_LIMITS[joint]
     assert near and not loop.controller.stop_reason
-
-
-def test_the_outer_part_of_the_margin_brakes_and_does_not_push():
-    """A goal may need a joint that is near its limit."""
-
-    def torques(room: float, speed: float, delay: float = 0.0) -> tuple[float, float]:
-        q, v = HOME.copy(), np.zeros(ARM.n)
-        q[0], v[0] = POSITION_LIMITS[0] - room * REPULSION_MARGIN, speed
-        constants = make_constants(ARM, limits=dataclasses.replace(SETTINGS, torque_delay=delay))
-        pushing, stopping = repulsion_torques(constants, np.eye(ARM.n), q, v)
-        assert not pushing[1:].any() and not stopping[1:].any()
-        return float(pushing[0]), float(stopping[0])
-
-    assert torques(0.76, 0.0) == torques(0.76, -1.0) == torques(1.01, 1.0) == (0.0, 0.0)
-    pushing, stopping = torques(0.9, 0.5)
-    assert pushing == 0.0 and torques(0.76, 0.5)[1] < stopping < 0.0
-    assert torques(0.0, 0.0)[0] < 3.0 * torques(0.375, 0.0)[0] < 0.0
-    # Late torques would shake it with a steep push.
-    assert torques(0.9, 0.0, 0.005)[0] < 0.0 == torques(0.8, 0.0, 0.0)[0]
 
 
 @pytest.mark.parametrize("joint", [0, 4, 5, 6])
