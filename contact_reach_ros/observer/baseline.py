@@ -41,6 +41,8 @@ class Baseline:
     ----------
     mean
         The baseline (n,), N m.
+    anchor
+        Its value where the arm was handed over or reset, (n,), N m.
     """
 
     def __init__(
@@ -68,16 +70,16 @@ class Baseline:
         self._follow, self._hand_over = 1.0 / states_in(MEAN_TIME, period), 1.0 / states_in(HANDOVER_MEAN, period)
         self._q: list[float] = []
         """Where the arm was when the range was computed; empty before the first torque."""
-        self._anchor = np.zeros(model.arm.n)
+        self.anchor = np.zeros(model.arm.n)
         self._gravity, self._payload, self._off_center = self._weights(np.zeros(model.arm.n))
         self._low = self._high = self.mean = [0.0] * model.arm.n
 
     def restart(self, torque: Array, q: Array) -> None:
         """Anchor it here: attribute the torque (n,), N m, at posture `q` (n,), rad, to the model within the limits."""
-        self._anchor = np.clip(torque, -self._limits, self._limits)
+        self.anchor = np.clip(torque, -self._limits, self._limits)
         self._gravity, self._payload, self._off_center = self._weights(q)
-        self._q, self.mean = q.tolist(), self._anchor.tolist()
-        self._low, self._high = (self._anchor - self._friction).tolist(), (self._anchor + self._friction).tolist()
+        self._q, self.mean = q.tolist(), self.anchor.tolist()
+        self._low, self._high = (self.anchor - self._friction).tolist(), (self.anchor + self._friction).tolist()
 
     def hand_over(self, torque: Array, q: Array) -> None:
         """Follow the external torque (n,), N m, while nothing moves yet, and anchor the baseline here."""
@@ -106,7 +108,7 @@ class Baseline:
         width = GRAVITY_SHARE * np.abs(gravity - self._gravity) + np.abs(payload - self._payload) + self._friction
         width += OFF_CENTER * np.sqrt(np.square(off_center - self._off_center).sum(axis=1))
         self._q = q.tolist()
-        self._low, self._high = (self._anchor - width).tolist(), (self._anchor + width).tolist()
+        self._low, self._high = (self.anchor - width).tolist(), (self.anchor + width).tolist()
 
     def _weights(self, q: Array) -> tuple[Array, Array, Array]:
         """Modelled gravity (n,), the torque (n,) of a payload at the tip, N m, and its change per offset (n, 3), N."""

@@ -39,7 +39,7 @@ class Contact:
     force
         Force on the arm, (3,), N, base axes: the one that explains the torques best.
     torque
-        Sudden external torque (n,), N m, that the force is fitted to.
+        External torque (n,), N m, that the force is fitted to.
     is_excessive
         Whether even `least` has exceeded the permitted force for too long.
     least

@@ -117,6 +117,11 @@ class SafetyMonitor:
         """External torque minus its baseline at the last state, (n,), N m."""
         return self._last_residual - self._baseline.mean
 
+    @property
+    def since_handover(self) -> Array:
+        """External torque minus that at the hand-over or reset, (n,), N m: without a baseline that follows it."""
+        return self._last_residual - self._baseline.anchor
+
     def update(self, residual: Array, q: Array, v: Array, known_for: float = math.inf) -> None:
         """Take the external torque of one state.
 

@@ -71,8 +71,6 @@ _CANDIDATES = 24
 _PRESSING = 2.0
 """By how much longer a way may take that presses less, for each ε, s."""
 
-DETOUR_SHARE = 0.9
-"""Share of ε within which plans on a detour keep, which has room to avoid what the model has too soft."""
 _SHARES = 0.0, 0.8
 """How much a path may press, in shares of ε, each tried if no path is found with the one before; later searches take
 the last."""

@@ -18,7 +18,7 @@ from contact_reach_ros.control.references import MAX_PLAN_DURATION, Reference
 from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.errors import InputError, PlanningError, SettingsError
 from contact_reach_ros.planning.cost import ReferenceSpace
-from contact_reach_ros.planning.detour import DETOUR_SHARE, Detours
+from contact_reach_ros.planning.detour import Detours
 from contact_reach_ros.planning.lanes.compiled import Compiled
 from contact_reach_ros.planning.obstacles import ObstacleReader, check_motion, nearest_bodies
 from contact_reach_ros.planning.plan import Held, Plan, ReferenceTrajectory, Request
@@ -56,6 +56,9 @@ class Memory(NamedTuple):
 
 _JUMP_SLACK = 0.05
 """Slack in the detection of jumps, rad: a joint farther from its last angle than its speed limit allows has jumped."""
+
+_PLANNED_SHARE = 0.9
+"""Share of ε within which plans keep: the model takes some bodies for up to a tenth softer than they are."""
 
 _WARM_UP_PLANS = 5
 """Two that compile, and three of which the quickest tells how long a step takes."""
@@ -304,7 +307,7 @@ class RecedingHorizonPlanner:
             goal_rotation=single(rotation[:, :, None]),
             goal_velocity=single(goal.velocity[:, None]),
             weights={name: single(weight) for name, weight in weights.items()},
-            permitted_force=single(self._permitted_force * (DETOUR_SHARE if request.on_detour else 1.0)),
+            permitted_force=single(_PLANNED_SHARE * self._permitted_force),
             body_speed=single(self._body_speed),
             bodies=bodies,
             speed_scale=single(request.speed_scale),

@@ -3,10 +3,11 @@
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from arm_simulation import ARM, HOME, REST, TICK_NS
 
-from contact_reach_ros.arm import JointState
+from contact_reach_ros.arm import JointState, link_frames
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import StopCode
 from contact_reach_ros.observer.budget import ContactBudget
@@ -91,6 +92,26 @@ class TestDue:
         assert BUDGET.permitted_force + 3.0 == 13.0
         assert not watched.run(150, SOFT)[-1].verdict.excess
         assert watched.run(150, SOFT)[-1].verdict.excess == claimed
+
+    def test_the_end_of_a_contact_that_the_baseline_has_absorbed_is_no_other_contact(self):
+        """A touch of 11 N at the wrist that grows over 3 s, far from where the arm was handed over."""
+        watched, model = Watched(), RobotModel(ARM).pinocchio
+        data, random = model.createData(), np.random.default_rng(0)
+        start = HOME + np.array([0.0, -0.7, 0.9, 0.6, 0.0, 0.0, 0.0])
+        wrist = [link_frames(ARM, HOME + step)[1][5] for step in 1e-6 * np.vstack([np.eye(ARM.n), -np.eye(ARM.n)])]
+        touch = (np.array(wrist[: ARM.n]) - wrist[ARM.n :]) / 2e-6 @ [0.0, 4.0, -10.0]
+        # The way home takes 3 s, after the hand-over.
+        for turn in np.pi * np.clip(np.arange(-HANDED_OVER, 3000) / 3000, 0.0, 1.0):
+            share, rate, way = 0.5 * (1.0 - np.cos(turn)), np.pi / 3.0, HOME - start
+            q = start + share * way + 1e-6 * random.standard_normal(ARM.n)
+            v, a = 0.5 * rate * np.sin(turn) * way, 0.5 * rate**2 * np.cos(turn) * (turn > 0.0) * way
+            watched.observer.update(watched.state(q=q, v=v, torque=pin.rnea(model, data, q, v, a)))
+        for share in np.linspace(0.0, 1.0, 3000):
+            watched.observer.update(watched.state(share * touch))
+        assert np.abs(touch - watched.observer.monitor.sudden).max() > 2.0
+        watched.run(300)
+        assert watched.observer.monitor.in_contact
+        assert watched.observer.contact.strength < 1.0
 
 
 BLIND_MS = 250
