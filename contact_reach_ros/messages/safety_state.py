@@ -38,7 +38,7 @@ _KNOWN, _UNKNOWN = "known", "unknown"
 
 
 _LINK, _FORCE, _POSITION = "contact link", "contact force xyz N", "contact position xyz m"
-_CONTACT_TORQUE, _EXCESS = "contact torque Nm", "contact above permitted force"
+_SUDDEN, _EXCESS = "sudden torque Nm", "contact above permitted force"
 
 
 def findings(report: SafetyReport) -> dict[str, str]:
@@ -57,7 +57,7 @@ def findings(report: SafetyReport) -> dict[str, str]:
         values["contact force N"] = f"{contact.strength:.1f}"
         values[_FORCE] = " ".join(f"{value:.1f}" for value in contact.force.tolist())
         values[_POSITION] = " ".join(f"{value:.3f}" for value in contact.position.tolist())
-        values[_CONTACT_TORQUE] = " ".join(f"{value:.2f}" for value in contact.torque.tolist())
+        values[_SUDDEN] = " ".join(f"{value:.2f}" for value in contact.torque.tolist())
         if contact.is_excessive:
             values[_EXCESS] = "true"
     return values
@@ -125,10 +125,10 @@ def read_contact(message: Any, arm: Arm) -> Contact | None:
     try:
         position, force = (np.array(values[key].split(), float).reshape(3) for key in (_POSITION, _FORCE))
         # Bags of version 0.2.0 lack it.
-        torque = np.array(values.get(_CONTACT_TORQUE, arm.n * "nan ").split(), float).reshape(arm.n)
+        torque = np.array(values.get(_SUDDEN, arm.n * "nan ").split(), float).reshape(arm.n)
     except (KeyError, ValueError) as error:
         raise InputError(
-            f"safety_state: {_POSITION} and {_FORCE} must be three numbers each, {_CONTACT_TORQUE} {arm.n} ({error})"
+            f"safety_state: {_POSITION} and {_FORCE} must be three numbers each, {_SUDDEN} {arm.n} ({error})"
         ) from error
     if values[_LINK] not in arm.contact_links or not np.isfinite([position, force]).all():
         raise InputError(

@@ -39,12 +39,12 @@ class Contact:
     force
         Force on the arm, (3,), N, base axes: the one that explains the torques best.
     torque
-        External torque (n,), N m, that the force is fitted to.
+        Sudden external torque (n,), N m, that the force is fitted to.
     is_excessive
         Whether even `least` has exceeded the permitted force for too long.
     least
         Smallest of the forces that explain the torques best at each point, where they do so about as well, N: where
-        levers are short, errors of torques are large forces. Messages do not carry it.
+        levers are short, errors of torques are large forces. See `locate`; messages do not carry it.
     """
 
     link: str
@@ -92,25 +92,28 @@ class ContactLocator:
         axes = [(end - start) / np.linalg.norm(end - start) for _, start, end in capsules]
         self._axes = np.repeat(axes, _POINTS, axis=0)[:, :, None]
 
-    def locate(self, q: Array, torque: Array) -> Contact:
-        """The contact that best explains the external torque (n,) N m at joint positions (n,) rad."""
+    def locate(self, q: Array, torque: Array, *others: Array) -> Contact:
+        """The contact that best explains the external torque (n,) N m at joint positions (n,) rad.
+
+        `others` are what the torque may be as well, (n,) N m: `Contact.least` is the smallest force for any of them.
+        """
         rotations, origins = self.frames(q)
         turns = rotations[self._links]
         points = origins[self._links] + (turns @ self._points)[:, :, 0]
         axes = turns @ self._axes
         rows = self.rows(rotations, origins, points, self._links)
-        target = self.weights * torque
+        targets = (self.weights * np.array([torque, *others])).T
         prior = _ACROSS + _ALONG * (axes @ axes.transpose(0, 2, 1))
-        normal = rows.transpose(0, 2, 1) @ rows + prior
-        right = target @ rows
-        forces = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+        columns = rows.transpose(0, 2, 1)
+        right = columns @ targets
+        forces = np.linalg.solve(columns @ rows + prior, right)
         # At the minimum |target - rows f|² + fᵀ prior f is |target|² - fᵀ right.
-        gain = (forces * right).sum(axis=1)
-        best = int(np.argmax(gain))
+        gains = (forces * right).sum(axis=1)
+        best = int(np.argmax(gains[:, 0]))
         strengths = np.linalg.norm(forces, axis=1)
         # Of a torque that is not finite, nothing fits.
-        least = float(strengths[gain >= gain[best] - _ALIKE].min(initial=strengths[best]))
-        return Contact(self._link_names[self._links[best]], points[best], forces[best], torque, least=least)
+        least = float(strengths[gains >= gains.max(axis=0) - _ALIKE].min(initial=strengths[best, 0]))
+        return Contact(self._link_names[self._links[best]], points[best], forces[best, :, 0], torque, least=least)
 
     def frames(self, q: Array) -> tuple[Array, Array]:
         """Rotations (n, 3, 3) and origins (n, 3), m, of the joints' frames."""

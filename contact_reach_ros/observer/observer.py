@@ -193,14 +193,12 @@ class Observer:
         return report
 
     def locate(self, q: Array) -> Contact:
-        """The contact at joint positions `q` (n,), rad, rounded.
+        """The contact that best explains the sudden external torque at joint positions `q` (n,), rad, rounded.
 
-        It is the weaker of those that best explain the sudden external torque and the one since the hand-over: what the
-        baseline has taken for an error of the model may have been a contact that grew slowly. The rest of that contact
-        is distorted, and may look like a much stronger one; and when it has ended, the baseline looks like another.
+        The baseline may have taken for an error of the model what was contact that grew slowly, and the rest of that
+        contact may look like a much stronger one: `Contact.least` counts the torque since the hand-over, too.
         """
-        torques = self.monitor.sudden, self.monitor.since_handover
-        return min((self._locator.locate(q, torque) for torque in torques), key=lambda each: each.strength).rounded()
+        return self._locator.locate(q, self.monitor.sudden, self.monitor.since_handover).rounded()
 
     def rehearse(self) -> None:
         """Run through every step once, with an observer that is not used for anything else.

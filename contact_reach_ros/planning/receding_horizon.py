@@ -57,9 +57,6 @@ class Memory(NamedTuple):
 _JUMP_SLACK = 0.05
 """Slack in the detection of jumps, rad: a joint farther from its last angle than its speed limit allows has jumped."""
 
-_PLANNED_SHARE = 0.9
-"""Share of ε within which plans keep: the model takes some bodies for up to a tenth softer than they are."""
-
 _WARM_UP_PLANS = 5
 """Two that compile, and three of which the quickest tells how long a step takes."""
 
@@ -307,7 +304,7 @@ class RecedingHorizonPlanner:
             goal_rotation=single(rotation[:, :, None]),
             goal_velocity=single(goal.velocity[:, None]),
             weights={name: single(weight) for name, weight in weights.items()},
-            permitted_force=single(_PLANNED_SHARE * self._permitted_force),
+            permitted_force=single(self._permitted_force),
             body_speed=single(self._body_speed),
             bodies=bodies,
             speed_scale=single(request.speed_scale),
