@@ -47,7 +47,7 @@ class PlanningSettings(Settings):
         maximum=1000.0,
     )
     contact_limit_weight: float = setting(
-        5.0, "λ3 of (5): contact force above 0.9 of the permitted one", unit="1/N", minimum=0.0, maximum=100.0
+        5.0, "λ3 of (5): contact force above the permitted one", unit="1/N", minimum=0.0, maximum=100.0
     )
     contact_weight: float = setting(
         0.01, "any contact force, so that permitted ones stay low", unit="1/N", minimum=0.0, maximum=100.0

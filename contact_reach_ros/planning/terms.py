@@ -4,10 +4,10 @@ A term is a function of the predicted motion with the decorator `term`, which na
 weight, or has the weight itself. The cost is the weighted sum, over the knots, of all terms for which the settings have
 a weight.
 
-The paper's (5) is read as follows. The constraint (4d) is contact ≤ ε, so its penalty is λ3 max(0, contact − 0.9 ε),
-see `PLANNED_SHARE`. The literal λ3 (contact − ε) charges every newton, also below ε; preset `paper_linear` has it as a
-weight on any contact. A small one keeps permitted forces low. The joints' limits of position and speed, absent from
-(5), are soft costs, as are a goal's orientation and the null-space motion, which nothing else would restrain.
+The paper's (5) is read as follows. The constraint (4d) is contact ≤ ε, so its penalty is λ3 max(0, contact − ε). The
+literal λ3 (contact − ε) charges every newton, also below ε; preset `paper_linear` has it as a weight on any contact. A
+small one keeps permitted forces low. The joints' limits of position and speed, absent from (5), are soft costs, as
+are a goal's orientation and the null-space motion, which nothing else would restrain.
 """
 
 from __future__ import annotations
@@ -35,9 +35,6 @@ from contact_reach_ros.planning.transfer.pipeline import N_TASK, Pose, Reference
 from contact_reach_ros.world.goal import Target
 
 Number = float | jax.Array
-
-PLANNED_SHARE = 0.9
-"""Share of ε within which plans keep: the model takes some bodies for up to a tenth softer than they are."""
 
 
 class Problem(NamedTuple):
@@ -232,8 +229,8 @@ def terminal(context: Context) -> jax.Array:
 
 @term("contact_limit_weight")
 def contact_limit(context: Context) -> jax.Array:
-    """Contact force above `PLANNED_SHARE` of the permitted one, N."""
-    return jnp.maximum(context.rollout.contact - PLANNED_SHARE * context.problem.permitted_force, 0.0)
+    """Contact force above the permitted one, N."""
+    return jnp.maximum(context.rollout.contact - context.problem.permitted_force, 0.0)
 
 
 @term("contact_weight")

@@ -56,7 +56,7 @@ def test_contact_costs_little_up_to_the_permitted_force_and_much_above(roll_out)
         rollout, terms = roll_out(make_problem(HOME, FLANGE, ball(beside_forearm(-depth))), STILL)
         force = np.asarray(rollout.contact[:, 0])
         assert (force.max() > PERMITTED_FORCE) == over
-        excess = np.maximum(force - 0.9 * PERMITTED_FORCE, 0.0).sum()
+        excess = np.maximum(force - PERMITTED_FORCE, 0.0).sum()
         assert terms["contact_limit"][0] == pytest.approx(SMALL.contact_limit_weight * excess, rel=1e-4)
         assert terms["contact"][0] == pytest.approx(SMALL.contact_weight * force.sum(), rel=1e-4)
 

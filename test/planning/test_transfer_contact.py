@@ -12,7 +12,7 @@ from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, contact_step, response
 from contact_reach_ros.planning.transfer.dynamics import link_frames
 from contact_reach_ros.planning.transfer.model import arm_model
-from contact_reach_ros.world.collision import clearances
+from contact_reach_ros.world.collision import capsule_segments, clearances
 from contact_reach_ros.world.spheres import Spheres
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -50,6 +50,35 @@ def test_joint_torque_is_the_derivative_of_the_contact_energy(touch):
     step = 1e-5
     expected = [-(energy(HOME + step * axis) - energy(HOME - step * axis)) / (2 * step) for axis in np.eye(7)]
     np.testing.assert_allclose(touch(HOME, ball(center)).joint_torque[:, 0], expected, rtol=0, atol=0.01)
+
+
+def test_capsules_that_touch_one_sphere_share_its_force_as_it_yields_to_all_of_them():
+    """Against forces that fit the depths that they leave, wherever a soft ball touches two capsules or more."""
+    frames, random, time = link_frames(arm_model(ARM), jnp.asarray(HOME)[:, None]), np.random.default_rng(0), 0.025
+    run = jax.jit(lambda obstacles: contact_step(arm_model(ARM), frames, obstacles, STIFFNESS, time).link_force)
+    starts, ends = capsule_segments(ARM, HOME)
+    axes, radii = ends - starts, np.array([capsule.radius for capsule in ARM.capsules])
+    # At the instant at which contact is evaluated.
+    yielding = float(response(ball(HOME[:3], 60.0), 0.7 * time)[1][0, 0])
+    errors = []
+    while len(errors) < 200:
+        center = table_frames(ARM, HOME)[1][random.integers(2, 6)] + random.normal(scale=0.15, size=3)
+        shares = np.clip(((center - starts) * axes).sum(axis=1) / (axes**2).sum(axis=1), 0.0, 1.0)
+        away = starts + shares[:, None] * axes - center
+        distances = np.linalg.norm(away, axis=1)
+        depths, normals, force = (
+            np.maximum(radii + 0.1 - distances, 0.0),
+            away / distances[:, None],
+            np.zeros(len(radii)),
+        )
+        if (depths > 0.002).sum() < 2 or depths.max() > 0.03:
+            continue
+        for _ in range(200):
+            left = depths - yielding * normals @ (force @ normals)
+            force += 0.2 * (STIFFNESS * np.maximum(left, 0.0) - force)
+        errors.append(np.abs(np.asarray(run(ball(center, 60.0)))[:, 0] - force).max() / force.max())
+    assert np.median(errors) < 0.01
+    assert max(errors) < 0.4
 
 
 @pytest.fixture(scope="module")

@@ -77,9 +77,9 @@ def contact_step(
     """Contact over a step of `timestep` seconds with the links at the given frames; `contact_stiffness` in N/m.
 
     The forces are those at a later instant of the step, when the spheres have given way to them: those at its beginning
-    would throw light spheres off. A sphere gives way to its own force and to the forces on the touched spheres that it
-    is joined to, whose shares are estimated from their depths. That is exact where one sphere is touched, and never too
-    much in total.
+    would throw light spheres off. A sphere gives way to the forces of all capsules on it, along their sum, and to those
+    on the touched spheres that it is joined to, whose shares are estimated from their depths. That is exact where one
+    sphere is touched by one capsule, or by several along one line.
     """
     start, segment = place_capsules(arm, frames)
     inverse_square = (1.0 / (arm.capsule_axis**2).sum(axis=1))[:, None, None]
@@ -95,13 +95,19 @@ def contact_step(
     inverse_distance = jax.lax.rsqrt(square)
     reach = arm.capsule_radius[:, None, None] + obstacles.radius[None]
     depth = jnp.maximum(reach - square * inverse_distance, 0.0)
+    normal = gap * inverse_distance
+    # A sphere yields along the sum of what enters it, away from all capsules that touch it at once.
+    along = sum_over(normal * depth, 1)
+    entered = jnp.sqrt(dot(along, along) + _TOUCH**2)
+    cosine = dot(normal, (along / entered)[:, None])
+    stiffness = contact_stiffness * sum_over(jnp.where(depth > 0.0, cosine * cosine, 0.0), 0)
     # How far a sphere yields per force on it, from estimated shares of the force that are corrected once.
-    entered = sum_over(depth, 0)[None]
-    yielding = _joined(touched_compliance, entered) / (entered + _TOUCH)
-    shares = entered / (1.0 + contact_stiffness * yielding)
-    yielding = (_joined(touched_compliance, shares) / (shares + _TOUCH))[0]
-    force = depth * (contact_stiffness / (1.0 + contact_stiffness * yielding))
-    on_capsule = gap * (force * inverse_distance)
+    yielding = _joined(touched_compliance, entered[None])[0] / entered
+    shares = entered / (1.0 + stiffness * yielding)
+    yielding = _joined(touched_compliance, shares[None])[0] / shares
+    yielded = entered * (contact_stiffness * yielding / (1.0 + stiffness * yielding))
+    force = contact_stiffness * jnp.maximum(depth - cosine * yielded, 0.0)
+    on_capsule = normal * force
     total = sum_over(on_capsule, 2)
     # Σ (start + share * segment) x force, with the sum taken before any cross product.
     weighted = sum_over(on_capsule * share[None], 2)
