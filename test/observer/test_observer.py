@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from arm_simulation import ARM, HOME, REST, TICK_NS
 
-from contact_reach_ros.arm import JointState, link_frames
+from contact_reach_ros.arm import JointState
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import StopCode
 from contact_reach_ros.observer.budget import ContactBudget
@@ -98,8 +98,8 @@ class TestDue:
         watched, model = Watched(), RobotModel(ARM).pinocchio
         data, random = model.createData(), np.random.default_rng(0)
         start = HOME + np.array([0.0, -0.7, 0.9, 0.6, 0.0, 0.0, 0.0])
-        wrist = [link_frames(ARM, HOME + step)[1][5] for step in 1e-6 * np.vstack([np.eye(ARM.n), -np.eye(ARM.n)])]
-        touch = (np.array(wrist[: ARM.n]) - wrist[ARM.n :]) / 2e-6 @ [0.0, 4.0, -10.0]
+        pin.computeJointJacobians(model, data, HOME)
+        touch = pin.getJointJacobian(model, data, 6, pin.LOCAL_WORLD_ALIGNED)[:3].T @ [0.0, 4.0, -10.0]
         # The way home takes 3 s, after the hand-over.
         for turn in np.pi * np.clip(np.arange(-HANDED_OVER, 3000) / 3000, 0.0, 1.0):
             share, rate, way = 0.5 * (1.0 - np.cos(turn)), np.pi / 3.0, HOME - start

@@ -12,7 +12,8 @@ from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, contact_step, response
 from contact_reach_ros.planning.transfer.dynamics import link_frames
 from contact_reach_ros.planning.transfer.model import arm_model
-from contact_reach_ros.world.collision import capsule_segments, clearances
+from contact_reach_ros.planning.unexpected_contact import places_near
+from contact_reach_ros.world.collision import clearances
 from contact_reach_ros.world.spheres import Spheres
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -56,27 +57,20 @@ def test_capsules_that_touch_one_sphere_share_its_force_as_it_yields_to_all_of_t
     """Against forces that fit the depths that they leave, wherever a soft ball touches two capsules or more."""
     frames, random, time = link_frames(arm_model(ARM), jnp.asarray(HOME)[:, None]), np.random.default_rng(0), 0.025
     run = jax.jit(lambda obstacles: contact_step(arm_model(ARM), frames, obstacles, STIFFNESS, time).link_force)
-    starts, ends = capsule_segments(ARM, HOME)
-    axes, radii = ends - starts, np.array([capsule.radius for capsule in ARM.capsules])
     # At the instant at which contact is evaluated.
     yielding = float(response(ball(HOME[:3], 60.0), 0.7 * time)[1][0, 0])
-    errors = []
+    radii, errors = np.array([capsule.radius for capsule in ARM.capsules]), []
     while len(errors) < 200:
         center = table_frames(ARM, HOME)[1][random.integers(2, 6)] + random.normal(scale=0.15, size=3)
-        shares = np.clip(((center - starts) * axes).sum(axis=1) / (axes**2).sum(axis=1), 0.0, 1.0)
-        away = starts + shares[:, None] * axes - center
-        distances = np.linalg.norm(away, axis=1)
-        depths, normals, force = (
-            np.maximum(radii + 0.1 - distances, 0.0),
-            away / distances[:, None],
-            np.zeros(len(radii)),
-        )
+        links, points, normals = places_near(ARM, HOME, ball_at(center))
+        depths = np.maximum(radii[links - 1] + 0.1 - np.linalg.norm(points - center, axis=1), 0.0)
         if (depths > 0.002).sum() < 2 or depths.max() > 0.03:
             continue
+        force = np.zeros(len(depths))
         for _ in range(200):
             left = depths - yielding * normals @ (force @ normals)
             force += 0.2 * (STIFFNESS * np.maximum(left, 0.0) - force)
-        errors.append(np.abs(np.asarray(run(ball(center, 60.0)))[:, 0] - force).max() / force.max())
+        errors.append(np.abs(np.asarray(run(ball(center, 60.0)))[links - 1, 0] - force).max() / force.max())
     assert np.median(errors) < 0.01
     assert max(errors) < 0.4
 
