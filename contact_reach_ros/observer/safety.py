@@ -89,7 +89,7 @@ class SafetyMonitor:
         self.stops = 0
         self.in_contact = False
         self.contacts = 0
-        self._baseline = Baseline(model, budget.handover_thresholds, budget.contact_thresholds, period)
+        self._baseline = Baseline(model, budget.handover_thresholds, period)
         self._stop_limits = list(
             zip(budget.torque_thresholds, budget.torque_per_speed, budget.sudden_thresholds, strict=True)
         )
@@ -162,7 +162,7 @@ class SafetyMonitor:
             jumped = touched = False
         else:
             self._overweight.lasts(False)
-            self._baseline.follow(torques, q, self.in_contact)
+            self._baseline.follow(residual, q, self.in_contact)
         if self._above.lasts(pushed or jumped):
             reason = self._explain(pushed, residual, v)
             self.stop(StopReason(reason.code, f"at hand-over {reason}: {self._weight}") if handed_over else reason)
