@@ -62,7 +62,6 @@ setup(
         "pillow",
         "pin",
         "plotly",
-        "psutil",
         "pyyaml",
         "rich",
         "rosbags",

@@ -139,13 +139,12 @@ class EpisodeRobot(FaultyRobot):
             return []
         return super().read()
 
-    def _tick(self, clock_ns: int) -> list[InputError]:
+    def _tick(self, clock_ns: int) -> None:
         if self.is_silent("driver"):
             self.restart()
-        refused = super()._tick(clock_ns)
+        super()._tick(clock_ns)
         if self.after_tick is not None:
             self.after_tick()
-        return refused
 
 
 class _EpisodeStack(Stack):

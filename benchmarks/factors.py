@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.authors_cost import AuthorsSettings
 from benchmarks.grid import DEADLINE_STEPS, Cell, EpisodeTask, Record, Setup, run_cell
 from benchmarks.output import command_line, given, run_command, say, table
 from benchmarks.paper import METHOD
@@ -66,7 +67,8 @@ class Factors(NamedTuple):
 
     def setup(self, scene: str) -> Setup:
         """Its settings in a scene."""
-        planning = dataclasses.replace(PlanningSettings(deadline=0.0, max_steps=DEADLINE_STEPS), **COSTS[self.cost])
+        kind = AuthorsSettings if self.cost == "paper_code" else PlanningSettings
+        planning = kind(deadline=0.0, max_steps=DEADLINE_STEPS, **COSTS[self.cost])
         if not self.detours:
             planning = dataclasses.replace(planning, detour_patience=0.0)
         latency = max(self.delay, _LEAST_DELAY)

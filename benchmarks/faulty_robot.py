@@ -14,9 +14,9 @@ from typing import Any, ClassVar, TypeVar
 import mujoco
 import numpy as np
 
-from contact_reach_ros.arm import Arm, Array, JointState
+from contact_reach_ros.arm import Arm, Array, JointState, checked_torque
 from contact_reach_ros.arm.mjcf import PAYLOAD_CENTER, PAYLOAD_INERTIA
-from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.simulation.obstacles import obstacle_bodies, soften_fixed
 from contact_reach_ros.simulation.plant import FRICTION, Plant
 from contact_reach_ros.simulation.robot import SimulatedRobot
@@ -266,12 +266,14 @@ class Faults:
         return [fault for fault in self._faults if isinstance(fault, kind) and fault.is_active(since_start)]
 
     def send_command(self, torque: Array, now_ns: int) -> None:
-        """Send a command (n,), N m, to the drive."""
+        """Send a command (n,), N m, to the drive; raises `InputError` if the drive refuses it."""
         message = self._spoilt(Message({"effort": torque.copy()}), ("commands",), now_ns)
-        if not message.is_lost:
-            _send(self._commands, message.values["effort"], message.delay, now_ns)
-        for rival in self.active(RivalCommands, now_ns):
-            _send(self._commands, np.full(self._arm.n, rival.torque), 0.0, now_ns)
+        try:
+            if not message.is_lost:
+                _send(self._commands, checked_torque(message.values["effort"], self._arm.n), message.delay, now_ns)
+        finally:
+            for rival in self.active(RivalCommands, now_ns):
+                _send(self._commands, np.full(self._arm.n, rival.torque), 0.0, now_ns)
 
     def commands(self, now_ns: int) -> list[Array]:
         """The commands that reach the drive now, in order."""
@@ -399,22 +401,18 @@ class FaultyRobot(SimulatedRobot):
             self.faults.start(self.now_ns)
 
     def command(self, torque: Array, clock_ns: int) -> None:
-        """As `SimulatedRobot.command`; with faults, commands travel first, and `step` returns refusals."""
+        """As `SimulatedRobot.command`; with faults, commands travel first."""
         if self.faults is not None:
             self.faults.send_command(torque, self.now_ns)
         else:
             super().command(torque, clock_ns)
 
-    def _tick(self, clock_ns: int) -> list[InputError]:
-        refused = []
+    def _tick(self, clock_ns: int) -> None:
         if self.faults is not None:
             for torque in self.faults.commands(self.now_ns):
-                try:
-                    super().command(torque, clock_ns)
-                except InputError as error:
-                    refused.append(error)
+                super().command(torque, clock_ns)
             self.faults.act(self.now_ns)
-        return [*refused, *super()._tick(clock_ns)]
+        super()._tick(clock_ns)
 
     def read(self) -> list[JointState]:
         """The joint states that arrive now. Each call draws new sensor noise."""

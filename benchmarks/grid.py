@@ -226,6 +226,6 @@ def _prepared(
     planning: PlanningSettings,
     controller: ControllerSettings,
 ) -> Method:
-    method = make_method(arm, name, capacity, permitted_force, planning.seed, planning, controller)
+    method = make_method(arm, name, capacity, permitted_force, 0, planning, controller)
     method.warm_up(lambda line: None)
     return method

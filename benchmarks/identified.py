@@ -36,7 +36,7 @@ def identified(arm: Arm, mismatch: MismatchSettings) -> MomentumSettings:
     if mismatch == NO_MISMATCH:
         return MomentumSettings()
     motion = record(arm, mismatch, _SEED)
-    return identify(arm, NO_TOOL, ObserverSettings(), ContactBudget().resolve(arm), [motion], links=True).momentum
+    return identify(arm, NO_TOOL, ObserverSettings(), ContactBudget().resolve(arm), motion, links=True).momentum
 
 
 def record(arm: Arm, mismatch: MismatchSettings, seed: int, seconds: float = RECORDED_S) -> Recording:

@@ -27,7 +27,7 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.planning.lanes.compiled import Compiled, Function
 from contact_reach_ros.planning.lanes.graph import Number
 from contact_reach_ros.planning.lanes.trace import Trace
-from contact_reach_ros.planning.settings import AUTO, PlanningSettings
+from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.hybrid import slopes
 from contact_reach_ros.planning.transfer.arithmetic import single
 
@@ -89,7 +89,7 @@ def _operations(solver: TimedSolver, lanes: int) -> float:
 def _evaluations(solver: TimedSolver) -> Callable[[], float]:
     """A function that measures the CPU time, s, of one step's evaluations."""
     runs = [
-        (partial(jax.jit(Compiled(function, AUTO)), problem, candidates), times)
+        (partial(jax.jit(Compiled(function)), problem, candidates), times)
         for function, problem, candidates, times in _functions(solver)
     ]
 

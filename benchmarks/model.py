@@ -26,7 +26,7 @@ from contact_reach_ros.arm.kinematics import AXIS
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.arms import load_arm
 from contact_reach_ros.control.constants import body_of, make_constants
-from contact_reach_ros.control.controller import torque_towards
+from contact_reach_ros.control.kernels import tracking_torque
 from contact_reach_ros.control.references import Reference, Way
 from contact_reach_ros.control.settings import ImpedanceSettings
 from contact_reach_ros.planning.cost import ReferenceSpace
@@ -116,7 +116,9 @@ def simulate(
             reference = Way(before, knot).at(share)
             model.update(q, v)
             last = model.bias if sent is None else sent
-            sent = torque_towards(reference, model, body, constants, q, v, 1.0, last, TICK, found)
+            state = model.mass_matrix, model.bias, model.gravity, model.position, model.rotation
+            motion_now = model.jacobian, model.twist, model.drift
+            sent = tracking_torque(constants, *state, *motion_now, *reference, *body, q, v, 1.0, last, TICK, found)
             plant.step(sent)
             force = np.maximum(force, normal_forces(plant))
         before = knot
@@ -159,7 +161,7 @@ def bench_model(
     settings
         Of the planner; by default the paper's budget.
     """
-    settings = dataclasses.replace(settings or PlanningSettings(), contact_weight=0.0, deadline=0.0, seed=seed)
+    settings = dataclasses.replace(settings or PlanningSettings(), contact_weight=0.0, deadline=0.0)
     report: dict[str, Any] = {"plans": plans, "seed": seed, "scenes": {}}
     for name in scenes:
         recorded = record_plans(load_arm(), read_scene(name), settings, plans, seed)

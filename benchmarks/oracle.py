@@ -32,7 +32,6 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.paths import Statics, connect
-from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.resources import write_text
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.scene import Scene
@@ -99,7 +98,7 @@ def classify(arm: Arm, scene: Scene, permitted_force: float) -> Verdict:
     random = np.random.default_rng((_STREAM, scene.seed))
     target = scene.goal.resolve(arm, RobotModel(arm).tip_pose(scene.start)[1])
     spheres = obstacle_spheres(scene, rest_positions(scene))
-    statics = Statics(arm, spheres, PlanningSettings().contact_stiffness, scene.start, target)
+    statics = Statics(arm, spheres, scene.start, target)
     near = scene.start + _NEAR_START * random.standard_normal((GOAL_SEEDS // 4, arm.n))
     seeds = np.concatenate([near, random.uniform(arm.lower, arm.upper, (GOAL_SEEDS - len(near), arm.n))])
     goals = solve_ik(arm, target.position, target.rotation, seeds, MARGIN)

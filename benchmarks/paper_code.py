@@ -15,6 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from benchmarks.authors_cost import AuthorsSettings
 from benchmarks.factors import COSTS
 from benchmarks.output import command_line, given, run_command, write_report
 from contact_reach_ros.arm import Array
@@ -43,7 +44,7 @@ _TIMEOUT = 60.0
 _REST = 1e-5
 """Spread of costs, in cm, and of variables, as a share of σ₀, at which a search ends."""
 
-SETTINGS = PlanningSettings(
+SETTINGS = AuthorsSettings(
     deadline=0.0,
     knot_duration=_STEP,
     substeps=2,
@@ -68,7 +69,7 @@ class AuthorsCma:
 
     def __init__(self, cost: CostFunction, n: int, settings: PlanningSettings) -> None:
         self._cost = jax.jit(cost)
-        self._seed, self._most = settings.seed, settings.max_steps
+        self._seed, self._most = 0, settings.max_steps
         self.population = 4 + math.floor(3.0 * math.log(n))
         parents = self.population // 2
         raw = math.log((self.population + 1) / 2) - np.log(np.arange(1, self.population + 1))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from benchmarks.authors_cost import AuthorsSettings
 from benchmarks.grid import Cell, Record, Setup
 from benchmarks.grid_run import run_grid
 from benchmarks.output import Report, command_line, command_of, given, run_command, table, write_report
@@ -32,6 +33,8 @@ PERIOD = "period"
 
 _GAINS = frozenset(field.name for field in dataclasses.fields(ImpedanceSettings))
 
+_THEIRS = frozenset(AuthorsSettings.__annotations__)
+
 _SLOWER = 1.1
 """The best value presses least among those that settle most often and are at most this much slower than the fastest."""
 
@@ -43,7 +46,7 @@ class Sweep:
     Attributes
     ----------
     name, values
-        Of a field of `PlanningSettings` or `ImpedanceSettings`, `LATENCY` or `PERIOD`, and what it takes.
+        Of a field of `AuthorsSettings` or `ImpedanceSettings`, `LATENCY` or `PERIOD`, and what it takes.
     scenes, methods
         Names or YAML files, and some of `METHODS`.
     targets, seed
@@ -94,10 +97,11 @@ class Sweep:
             replanning = ReplanningSettings(period=latency, latency=latency)
         if PERIOD in planning:
             replanning = dataclasses.replace(replanning, period=float(planning.pop(PERIOD)))
+        kind = AuthorsSettings if _THEIRS & planning.keys() else PlanningSettings
         gains = {name: planning.pop(name) for name in _GAINS & planning.keys()}
         return Setup(
             arm=self.arm,
-            planning=PlanningSettings.from_mapping(planning, "benchmarks.setting"),
+            planning=kind.from_mapping(planning, "benchmarks.setting"),
             controller=ControllerSettings(impedance=ImpedanceSettings.from_mapping(gains, "benchmarks.setting")),
             budget=load_budget(),
             replanning=replanning,

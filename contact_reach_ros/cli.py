@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import errno
 import io
+import math
 import os
 import sys
 import time
@@ -100,9 +101,13 @@ def _parser() -> argparse.ArgumentParser:
         help="parameters besides the file's",
     )
 
-    goto = add("goto", _goto, "send a goal to the running stack, and wait until it is taken or refused")
-    for axis in ("x", "y", "z"):
-        goto.add_argument(axis, type=float, metavar=axis.upper(), help=f"flange position along {axis}, m, base frame")
+    goto = add(
+        "goto",
+        _on_stack("bringup.commands:goto"),
+        "send a goal to the running stack, and wait until it is taken or refused",
+    )
+    where = "flange position: x, y and z, m, base frame"
+    goto.add_argument("position", nargs=3, type=float, metavar=("X", "Y", "Z"), help=where)
     goto.add_argument(
         "--rpy",
         nargs=3,
@@ -112,24 +117,26 @@ def _parser() -> argparse.ArgumentParser:
         "goal_orientation: pose",
     )
     home = add(
-        "home", _later("bringup.commands:home"), "send the flange to where it is in the arm's home posture, as goto"
+        "home", _on_stack("bringup.commands:home"), "send the flange to where it is in the arm's home posture, as goto"
     )
     for moving in (goto, home):
         moving.add_argument("--wait", action="store_true", help="also wait until it has settled there")
-        moving.add_argument("--timeout", type=float, help="time for that, s of the robot's clock (default: 30)")
+        moving.add_argument("--timeout", type=_seconds, help="time for that, s of the robot's clock (default: 30)")
         _add_stack(moving)
     speed = add(
         "speed",
-        _later("bringup.commands:speed"),
+        _on_stack("bringup.commands:speed"),
         "let the planner of the running stack use a share of its speed, from the next plan on",
     )
     speed.add_argument("scale", type=float, metavar="SHARE", help="of the speed that the bounds permit, 0.01 to 1")
     _add_stack(speed)
-    stop = add("stop", _later("bringup.commands:stop"), "stop the arm of the running stack, compliantly, until reset")
+    stop = add(
+        "stop", _on_stack("bringup.commands:stop"), "stop the arm of the running stack, compliantly, until reset"
+    )
     _add_stack(stop)
     reset = add(
         "reset",
-        _later("bringup.commands:reset"),
+        _on_stack("bringup.commands:reset"),
         "release all stops of the running stack; the arm then waits for a new goal",
     )
     # Now: until the stack is found, somebody may stop the arm.
@@ -141,8 +148,8 @@ def _parser() -> argparse.ArgumentParser:
         _identify,
         "fit tool, friction and torque offsets to a motion, and write parameter files",
     )
-    where = "recordings of free motion (default: the running stack moves the arm, for about a minute)"
-    identify.add_argument("--bag", dest="bags", type=_path, nargs="+", metavar="BAG", help=where)
+    where = "recording of free motion (default: the running stack moves the arm, for about a minute)"
+    identify.add_argument("--bag", type=_path, metavar="BAG", help=where)
     identify.add_argument("--links", action="store_true", help="fit the weights of the links; the tool is as it is")
     identify.add_argument("--output", type=Path, metavar="FILE", help="parameter file (default: identified.yaml)")
     identify.add_argument("--parameters", type=Path, metavar="FILE", help="file whose other values it keeps")
@@ -210,6 +217,12 @@ def _path(text: str) -> Path:
     return Path(text)
 
 
+def _seconds(text: str) -> float:
+    if not 0.0 < float(text) < math.inf:
+        raise argparse.ArgumentTypeError(f"{text}: expected a positive number")
+    return float(text)
+
+
 def _add_stack(command: argparse.ArgumentParser) -> None:
     _add_discovery(command, "how far to look for the stack")
     _add_namespace(command)
@@ -260,28 +273,30 @@ def _later(place: str) -> Callable[..., int | None]:
     return lambda **options: getattr(import_module(f"{PACKAGE}.{module}"), name)(**options)  # type: ignore[no-any-return]
 
 
+def _on_stack(place: str) -> Callable[..., Any]:
+    """A function as `_later`, whose first argument is a client of the running stack."""
+
+    def run(discovery: str = "host", namespace: str = "", **options: Any) -> Any:
+        from contact_reach_ros.ros.client import connect
+
+        with connect(discovery, namespace) as client:
+            return _later(place)(client=client, **options)
+
+    return run
+
+
 def _demo(**options: Any) -> int:
     from contact_reach_ros.bringup.demo import DemoOptions, run_demo
 
     return run_demo(DemoOptions.from_mapping(options, "demo"))
 
 
-def _goto(x: float, y: float, z: float, **options: Any) -> int:
-    from contact_reach_ros.bringup.commands import goto
-
-    return goto((x, y, z), **options)
-
-
 def _identify(discovery: str = "host", namespace: str = "", **options: Any) -> int:
-    from contact_reach_ros.identification.command import RecordedMotion, run_identification
+    from contact_reach_ros.identification.command import run_identification
 
-    def excite() -> RecordedMotion:
-        # With bags, rclpy need not be installed.
-        from contact_reach_ros.bringup.excitation import excite
-
-        return excite(discovery, namespace)
-
-    return run_identification(excite, **options)
+    # With a bag, rclpy need not be installed.
+    excite = _on_stack("bringup.excitation:excite")
+    return run_identification(lambda: excite(discovery, namespace), **options)
 
 
 def _view(parameters: Path | None = None, namespace: str = "", **chosen: Any) -> int:

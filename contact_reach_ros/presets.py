@@ -118,8 +118,9 @@ def check_parameters(file: Path, given: Given | None = None, robot: str = "", na
     arms: dict[str, Arm] = {}
     for node, sections in SECTIONS.items():
         source = f"{file}: {node}"
+        added = {name.removeprefix(f"{node}:"): value for name, value in (given or {}).get(node, {}).items()}
         # Names with a colon are parameters of other nodes.
-        added = {name: value for name, value in (given or {}).get(node, {}).items() if ":" not in name}
+        added = {name: value for name, value in added.items() if ":" not in name}
         own = parameters_in(file, node, namespace) | ({ROBOT.name: robot} if robot else {}) | added
         values[node] = own
         arms[node] = arm_in(own, source)

@@ -6,7 +6,6 @@ all follow from this declaration, so they cannot disagree.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import difflib
 import itertools
@@ -15,12 +14,15 @@ import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import yaml
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.removed import removed_parameter
+
+if TYPE_CHECKING:
+    from contact_reach_ros.arm import Arm
 
 Scalar = bool | int | float | str
 Value = Scalar | tuple[Scalar, ...] | None
@@ -30,25 +32,6 @@ ROS_NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 """A namespace, or what else topics and services of ROS may begin with."""
 NAME_RULE = "of letters, digits and _, such as left, or robots/left"
 """What `ROS_NAME` takes, in words."""
-
-
-class ArmDefaults(Protocol):
-    """What settings need from an arm."""
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-
-    @property
-    def task(self) -> str:
-        """The task with most rows that the joints can hold."""
-
-    @property
-    def torque_limits(self) -> Any:
-        """(n,) Nm."""
-
-    def default(self, setting: str) -> tuple[float, ...]:
-        """Default of a setting with one value per joint."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,7 +93,7 @@ class Setting:
         words = f"{words} {self.unit}".rstrip()
         return words if self.optional_length is None else f"null, or {words}"
 
-    def for_arm(self, arm: ArmDefaults) -> Setting:
+    def for_arm(self, arm: Arm) -> Setting:
         """The declaration for one arm, which fixes length and default of per-joint lists."""
         return dataclasses.replace(self, default=arm.default(self.name)) if self.per_joint else self
 
@@ -155,28 +138,6 @@ def setting(default: Any, description: str, **declared: Any) -> Any:
     return dataclasses.field(default=default, metadata={_DECLARATION: Setting("", default, description, **declared)})
 
 
-class Problems:
-    """Settings errors in a context, raised as one at its end, with a line for each."""
-
-    def __init__(self) -> None:
-        self._lines: list[str] = []
-
-    @contextlib.contextmanager
-    def noted(self) -> Iterator[None]:
-        """Note a settings error and go on."""
-        try:
-            yield
-        except SettingsError as error:
-            self._lines.append(str(error))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self._lines and kind is None:
-            raise SettingsError("\n".join(self._lines))
-
-
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """Base of the settings classes: frozen, and checked against its declarations on construction."""
@@ -192,7 +153,7 @@ class Settings:
         for field in dataclasses.fields(cls):
             yield dataclasses.replace(field.metadata[_DECLARATION], name=field.name)
 
-    def resolve(self, arm: ArmDefaults) -> Self:
+    def resolve(self, arm: Arm) -> Self:
         """These settings, with the arm's own values filled in where they have none.
 
         Raises `SettingsError` if a list does not have one value for each joint of the arm.
@@ -214,16 +175,13 @@ class Settings:
         Raises
         ------
         SettingsError
-            On unknown keys and values that are not accepted, all in one message, a line each, which names `source` (a
-            file, a parameter prefix).
+            On an unknown key, or a value that is not accepted; the message names `source` (a file, a parameter prefix).
         """
         known = {entry.name: entry for entry in cls.declared()}
-        with Problems() as problems:
-            for key, value in mapping.items():
-                with problems.noted():
-                    if key not in known:
-                        raise SettingsError(unknown_key(str(key), known, source))
-                    known[key].check(value, f"{source}: {key}")
+        for key, value in mapping.items():
+            if key not in known:
+                raise SettingsError(unknown_key(str(key), known, source))
+            known[key].check(value, f"{source}: {key}")
         try:
             return cls(**mapping)
         except SettingsError as error:
@@ -330,7 +288,8 @@ EVERY_NODE = (ROBOT, RATE, AUTOSTART, CPUS)
 _WILDCARDS = ("*", "**")
 _OF_OTHERS = {"impedance.": "controller", "contact_budget": "observer"}
 """Prefixes of parameters that one node has and others read in its section, by node."""
-_OF_ROS = ("use_sim_time", "start_type_description_service")
+OF_ROS = ("use_sim_time", "start_type_description_service")
+"""Parameters of every node of ROS."""
 
 
 def full_name(prefix: str, name: str) -> str:
@@ -338,7 +297,7 @@ def full_name(prefix: str, name: str) -> str:
     return f"{prefix}.{name}" if prefix else name
 
 
-def declared_parameters(sections: Sections, arm: ArmDefaults) -> dict[str, Setting]:
+def declared_parameters(sections: Sections, arm: Arm) -> dict[str, Setting]:
     """The parameters of a node with these sections, by full name."""
     return {
         full_name(prefix, entry.name): entry.for_arm(arm)
@@ -430,7 +389,7 @@ def check_values(values: Mapping[str, Any], known: Mapping[str, Setting], source
             raise SettingsError(f"{source}: unknown key '{name}'; {hint}")
         elif name == "use_sim_time" and not isinstance(value, bool):
             raise SettingsError(f"{source}: {name} = {value!r}; expected true or false")
-        elif name not in _OF_ROS and not (value is None and any(each.startswith(f"{name}.") for each in known)):
+        elif name not in OF_ROS and not (value is None and any(each.startswith(f"{name}.") for each in known)):
             raise SettingsError(unknown_key(name, known, source))
     return checked
 

@@ -44,8 +44,8 @@ class Robot(Protocol):
     def command(self, torque: Array, clock_ns: int) -> None:
         """Take a command (n,), N m; raises `InputError` if it is refused."""
 
-    def step(self, clock_ns: int) -> Sequence[InputError]:
-        """Advance by one period; returns the errors of commands that were refused on arrival."""
+    def step(self, clock_ns: int) -> None:
+        """Advance by one period."""
 
     def read(self) -> Sequence[JointState]:
         """The joint states that have arrived since the last call, in their order."""
@@ -149,17 +149,19 @@ class Stack:
         Raises
         ------
         SettingsError
-            If the simulated robot cannot have the period, settings are given beside a planner that has its own, or
-            planner and controller have different gains.
+            If the seed is no integer from 0 on, the simulated robot cannot have the period, settings are given beside a
+            planner that has its own, or planner and controller have different gains.
         InputError
             If the robot has no joint state at the start.
         """
         if isinstance(planner, Planner) and (planning or replanning or unexpected_contact):
             raise SettingsError("planner is a Planner with settings of its own; expected no others beside it")
+        if not isinstance(seed, int | np.integer) or seed < 0:
+            raise SettingsError(f"seed = {seed!r}: expected an integer from 0 on")
         self.scene = scene
         self.arm: Arm = scene.arm
         budget = (budget or ContactBudget()).resolve(self.arm)
-        planning = dataclasses.replace(planning or PlanningSettings(), deadline=0.0, seed=seed)
+        planning = dataclasses.replace(planning or PlanningSettings(), deadline=0.0)
         replanning = replanning or ReplanningSettings()
         if not scene.obstacles:
             replanning = dataclasses.replace(replanning, require_obstacles=False)
@@ -194,6 +196,7 @@ class Stack:
                 budget=budget,
                 unexpected_contact=unexpected_contact,
             )
+            self._core().reseed(seed)
         basis = getattr(self.planner.core, "basis", {})
         own = plan_basis(self.arm, self.controller.settings)
         differs = differences(own, basis, "planner", OF_PLANS)
@@ -257,8 +260,7 @@ class Stack:
         torque = self._control()
         report = self._observe()
         plan = self._plan()
-        for error in self.robot.step(self._clock_ns):
-            self._refuse("commands", error)
+        self.robot.step(self._clock_ns)
         self._steps += 1
         self._clock_ns = self._steps * self._period_ns
         self._arrived = list(self.robot.read())

@@ -29,7 +29,7 @@ class Mppi:
             mean = points @ jax.nn.softmax(-costs / temperature)
             return state._replace(mean=mean), points[:, costs.argmin()], costs.min()
 
-        self._step, self._seed, self.max_steps = jax.jit(step), settings.seed, settings.max_steps
+        self._step, self._seed, self.max_steps = jax.jit(step), 0, settings.max_steps
 
     def reseed(self, seed: int) -> None:
         self._seed = seed

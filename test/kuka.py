@@ -10,11 +10,13 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.drives.command_guard import CommandGuard, Phase
 from contact_reach_ros.drives.fri import PLUGIN, FriStates
 from contact_reach_ros.drives.settings import LBR, AdapterSettings, LbrSettings
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.observer.budget import ContactBudget
+from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.simulation.robot import SimulatedRobot
 from contact_reach_ros.simulation.settings import WatchdogSettings
 from contact_reach_ros.timing import NANOSECONDS
@@ -52,6 +54,17 @@ def described(config):
     )
 
 
+class CarriedPlant(Plant):
+    """The simulated arm of a drive that carries it by its own model: commands are on top of that."""
+
+    def __init__(self, scene, **options):
+        super().__init__(scene, **options)
+        self.own_model = RobotModel(self.arm)
+
+    def step(self, command=None):
+        super().step(None if command is None else command + self.own_model.gravity_at(self.joint_positions))
+
+
 class KukaRobot(SimulatedRobot):
     """The arm behind the driver, as `lbr/state` and `lbr/command/torque` show it.
 
@@ -63,7 +76,8 @@ class KukaRobot(SimulatedRobot):
 
     def __init__(self, scene, period, generation=LATER, stiffness=0.0, fri=1, noise_seed=None, **config):
         """`stiffness` in Nm/rad; `config`: hardware parameters that differ from those that the driver ships."""
-        super().__init__(scene, WatchdogSettings(enabled=False, carries=True), noise_seed, period, open_after=0.0)
+        plant = CarriedPlant(scene, noise_seed=noise_seed)
+        super().__init__(scene, WatchdogSettings(enabled=False), period=period, plant=plant, open_after=0.0)
         self.period, self.generation, self.stiffness, self.fri = period, generation, stiffness, fri
         self.config = CONFIGS[generation] | config
         self.ended = ""
@@ -95,14 +109,13 @@ class KukaRobot(SimulatedRobot):
         self.stop(self.ended)
 
     def step(self, clock_ns):
-        refused = super().step(clock_ns)
+        super().step(clock_ns)
         self.exchange()
-        return refused
 
     def _tick(self, clock_ns):
         spring = self.stiffness * (self._commanded - self.plant.joint_positions)
         super().command(self._sent + spring, clock_ns)
-        return super()._tick(clock_ns)
+        super()._tick(clock_ns)
 
     def read(self):
         return [self._seen]
@@ -120,7 +133,7 @@ class KukaRobot(SimulatedRobot):
     def exchange(self):
         """One exchange of FRI: a state comes, and the command for it goes."""
         self._seen = state = super().read()[0]
-        carried = self._model.gravity_at(state.q)
+        carried = self.plant.own_model.gravity_at(state.q)
         # Before the first step the simulated sensors show nothing.
         torque = np.where(np.isnan(state.torque), carried, state.torque)
         self._measured_torque = self._filtered(self._measured_torque, torque)
@@ -229,9 +242,8 @@ class Adapted(Guarded):
         if self.states.problem and self.guard.phase is Phase.PASSING:
             self.guard.stop(self.states.problem)
         self._send(self.guard.watch(clock_ns), clock_ns)
-        refused = self.robot.step(clock_ns)
+        self.robot.step(clock_ns)
         self.moved = max(self.moved, float(np.linalg.norm(self.robot.plant.tip_position - self._start)))
-        return refused
 
     def read(self):
         state = self.states.read(as_message(self.robot), 0)

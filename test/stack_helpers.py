@@ -30,6 +30,7 @@ from contact_reach_ros.messages.serialized import joint_state_writer
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.managed_node import ManagedNode
+from contact_reach_ros.ros.parameters import without_parameters
 from contact_reach_ros.settings import NODES
 
 SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
@@ -81,10 +82,13 @@ def prefix(folder: Path, command: str = "-m contact_reach_ros.nodes.{}") -> dict
 def ros(*parameters: str, more: Sequence[str] = (), domain: str | None = None) -> Iterator[None]:
     """Start rclpy in this process with parameters (name:=value) and more ROS arguments, in a domain of its own."""
     arguments = [part for parameter in parameters for part in ("-p", parameter)]
-    rclpy.init(args=["--ros-args", *arguments, *more], domain_id=int(domain or environment()["ROS_DOMAIN_ID"]))
+    given = ["test", "--ros-args", *arguments, *more]
+    rclpy.init(args=without_parameters(given), domain_id=int(domain or environment()["ROS_DOMAIN_ID"]))
+    ManagedNode.ARGUMENTS = given
     try:
         yield
     finally:
+        ManagedNode.ARGUMENTS = ()
         rclpy.shutdown()
 
 

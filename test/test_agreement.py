@@ -21,7 +21,7 @@ def disagreement(own, planners):
 
 
 def test_the_same_settings_agree_whatever_else_differs():
-    assert disagreement(OWN, {**OWN, "supervision.hold_limit": 1.0, "planning.seed": 3}) == ""
+    assert disagreement(OWN, {**OWN, "supervision.hold_limit": 1.0, "planning.deadline": 3}) == ""
 
 
 @pytest.mark.parametrize(

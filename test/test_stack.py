@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -56,11 +56,10 @@ class PlainRobot:
         self.commands.append(torque)
         self._acting = torque
 
-    def step(self, clock_ns: int) -> Sequence[InputError]:
+    def step(self, clock_ns: int) -> None:
         self.data.ctrl[:] = self._acting
         for _ in range(self.steps):
             mujoco.mj_step(self.model, self.data)
-        return ()
 
     def read(self) -> list[JointState]:
         stamp_ns = round(1e9 * self.data.time)

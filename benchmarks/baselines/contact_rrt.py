@@ -53,7 +53,6 @@ def find_contact_path(
     goal: Target,
     spheres: Spheres,
     permitted_force: float,
-    contact_stiffness: float,
     seed: int,
     settings: ContactRrtSettings | None = None,
 ) -> JointPath:
@@ -65,7 +64,7 @@ def find_contact_path(
         If no posture at the goal, or no path to one, keeps below the permitted force.
     """
     begin, settings, random = time.perf_counter(), settings or ContactRrtSettings(), np.random.default_rng(seed)
-    search = _Search(arm, spheres, permitted_force, contact_stiffness, start, goal, settings, random)
+    search = _Search(arm, spheres, permitted_force, start, goal, settings, random)
     goals = goal_candidates(arm, start, goal, PathSettings(), random)
     forces = search.force(goals) if len(goals) else np.zeros(0)
     goals = goals[(forces <= permitted_force) & search.rigid.free(goals)] if len(goals) else goals
@@ -92,13 +91,12 @@ class _Search:
         arm: Arm,
         spheres: Spheres,
         permitted_force: float,
-        contact_stiffness: float,
         start: Array,
         goal: Target,
         settings: ContactRrtSettings,
         random: np.random.Generator,
     ) -> None:
-        self.force = Statics(arm, spheres, contact_stiffness, start, goal).forces
+        self.force = Statics(arm, spheres, start, goal).forces
         self.rigid = ClearanceChecker(arm, Spheres.none(spheres.environment), 0.0, PathSettings().resolution, start)
         self.iterations = self.checks = 0
         self._arm, self._permitted, self._settings, self._random = arm, permitted_force, settings, random

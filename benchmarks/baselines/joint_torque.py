@@ -34,7 +34,6 @@ from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.solver import Solution
 from contact_reach_ros.planning.terms import Problem, Rollout
-from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import contact_step
 from contact_reach_ros.planning.transfer.dynamics import Dynamics, arm_dynamics, link_frames
 from contact_reach_ros.planning.transfer.pipeline import Reference, State, System, capped, factorise_mass
@@ -83,7 +82,7 @@ def torque_step(system: System, state: State, act: HeldTorque) -> State:
     torque: Any = act.torque
     obstacles, link_force = state.obstacles, state.link_force
     if obstacles is not None:
-        contact = contact_step(system.arm, frames, obstacles, system.contact_stiffness, timestep)
+        contact = contact_step(system.arm, frames, obstacles, timestep)
         obstacles, link_force = obstacles._replace(center=contact.center), contact.link_force
         torque = torque + contact.joint_torque
     dynamics = arm_dynamics(system.arm, frames)
@@ -117,16 +116,15 @@ class TorqueObjective(Objective):
     def roll_out(self, problem: Problem, actions: jax.Array) -> Rollout:
         """Run the transfer model without the laws under the actions, knot by knot."""
         start, _ = self.transfer(problem, actions.shape[-1])
-        pose = pipeline.tip_pose(self.system, start.q)
+        first = self.end_of_knot(start.q)
 
         def knot(state: State, action: jax.Array) -> tuple[State, tuple]:
             state, link_force = self.advance(state, action)
-            pose, capsules = self.end_of_knot(state.q)
             contact = link_force.max(axis=1)
-            return state, (state.q, pose, link_force.max(axis=0), contact.max(axis=0), capsules)
+            return state, (state.q, self.end_of_knot(state.q), link_force.max(axis=0), contact.max(axis=0))
 
-        _, (q, poses, link_force, contact, capsules) = jax.lax.scan(knot, start, actions)
-        poses = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), pose, poses)
+        _, (q, ends, link_force, contact) = jax.lax.scan(knot, start, actions)
+        poses, capsules = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), first, ends)
         # There are no references; the cost does not look at them.
         reference = Reference(poses.position[1:], poses.rotation[1:], q)
         return Rollout(jnp.concatenate([start.q[None], q]), poses, reference, link_force, contact, capsules)
@@ -280,10 +278,10 @@ class TorqueController(Controller):
         newest = max((other.effect_ns for other in self._plans if other.effect_ns <= now_ns), default=now_ns)
         self._plans = [other for other in self._plans if other.effect_ns >= newest] + [references.plan]
 
-    def tick(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array | None:
+    def _tick(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array | None:
         """The torque of the plan in force, or what holds or stops the arm."""
         if self.stop_reason or not any(plan.effect_ns <= now_ns for plan in self._plans):
-            return super().tick(q, v, now_ns, clock_ns)
+            return super()._tick(q, v, now_ns, clock_ns)
         self.model.update(q, v)
         held = reference_at(self._plans, now_ns + 1)
         torque = self.model.bias.copy()

@@ -57,15 +57,11 @@ _WITHOUT_DETOURS = ("no_detours", "reference_posture")
 """Law (6) has a posture of its own, to which no detour leads."""
 
 
-def _search(
-    name: str, permitted_force: float, contact_stiffness: float
-) -> Callable[[Arm, Array, Target, Spheres, int], JointPath]:
+def _search(name: str, permitted_force: float) -> Callable[[Arm, Array, Target, Spheres, int], JointPath]:
     """What finds the path of one of `PATH_METHODS`."""
     if name in _PATHS:
         return lambda arm, q, goal, spheres, seed: find_path(arm, q, goal, spheres, _PATHS[name], seed)
-    return lambda arm, q, goal, spheres, seed: find_contact_path(
-        arm, q, goal, spheres, permitted_force, contact_stiffness, seed
-    )
+    return lambda arm, q, goal, spheres, seed: find_contact_path(arm, q, goal, spheres, permitted_force, seed)
 
 
 def make_method(
@@ -90,7 +86,7 @@ def make_method(
     permitted_force
         ε of (4d), N.
     seed
-        Of its random numbers; replaces that of the settings.
+        Of its random numbers.
     settings
         Of the planner; those that make the method what it is are set here.
     controller
@@ -108,14 +104,13 @@ def make_method(
     if name == "reactive":
         return Method(ReactivePlanner(arm, settings), controller)
     if name in PATH_METHODS:
-        search = _search(name, permitted_force, settings.contact_stiffness)
+        search = _search(name, permitted_force)
         return Method(CollisionFreePlanner(arm, settings, controller.impedance, search, seed), controller)
     if name == "joint_torque":
-        settings = dataclasses.replace(settings, seed=seed)
         damping = joint_damping(arm)
         planner = TorquePlanner(arm, settings, controller, permitted_force, capacity, damping)
+        planner.reseed(seed)
         return Method(planner, controller, TorqueController)
-    settings = dataclasses.replace(settings, seed=seed)
     if name in _WITHOUT_DETOURS:
         settings = dataclasses.replace(settings, detour_patience=0.0)
     kind: type[RecedingHorizonPlanner] = RecedingHorizonPlanner
@@ -125,4 +120,6 @@ def make_method(
         supervision = dataclasses.replace(controller.supervision, max_posture_error=_ANY_POSTURE)
         controller = dataclasses.replace(controller, supervision=supervision)
     solver = _SOLVERS.get(name, HybridSolver)
-    return Method(kind(arm, settings, controller, permitted_force, capacity, solver), controller)
+    core = kind(arm, settings, controller, permitted_force, capacity, solver)
+    core.reseed(seed)
+    return Method(core, controller)

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.distance import cdist
 
 from contact_reach_ros.arm.arm import Array
-from contact_reach_ros.arm.capsules import segment_distances
+from contact_reach_ros.arm.capsules import volume
 from contact_reach_ros.arm.rotations import frame_about
 
 POOR = 2.5
@@ -28,8 +27,6 @@ _SMALLER = 0.75
 """Share of a capsule's volume below which several replace it."""
 _SHORTEST = 1e-3
 """Least length of a capsule's segment, m: it needs a direction."""
-_OUTSIDE = 1e-5
-"""How far shapes may stand out of a capsule that two of their balls span, m, if that is to be theirs."""
 _SPIRAL = 500
 """Points that stand for a sphere in the volume of shapes."""
 
@@ -75,17 +72,6 @@ def cover(balls: Array, cuts: int = _CUTS) -> list[Fit]:
 
 def fit_capsule(balls: Array, on_axis: bool = False) -> Fit:
     """The capsule of least volume around `balls` (N, 4), m; with its segment on the z axis if `on_axis`."""
-    balls = _outer(balls)
-    if not on_axis:
-        # The largest balls that are farthest apart: what is between them is a sphere or a capsule already.
-        largest = balls[balls[:, 3] >= balls[:, 3].max() - 0.1 * _OUTSIDE]
-        if largest[0, 3] > 0.0:
-            apart = cdist(largest[:, :3], largest[:, :3])
-            first, second = (largest[index, :3] for index in np.unravel_index(apart.argmax(), apart.shape))
-            if _depths(first, second, float(largest[0, 3]), balls).min() >= -_OUTSIDE:
-                if (length := float(np.linalg.norm(second - first))) < _SHORTEST:
-                    second = first + _SHORTEST * ((second - first) / length if length else np.eye(3)[2])
-                return _judged(first, second, float(largest[0, 3]), balls)
     center = np.zeros(3) if on_axis else 0.5 * (balls[:, :3].min(axis=0) + balls[:, :3].max(axis=0))
     size = float(np.ptp(balls[:, :3], axis=0).max()) + float(balls[:, 3].max()) + _SHORTEST
     principal = np.linalg.svd(balls[:, :3] - balls[:, :3].mean(axis=0), full_matrices=False)[2]
@@ -129,26 +115,3 @@ def _judged(start: Array, end: Array, radius: float, balls: Array) -> Fit:
     except QhullError:
         return Fit(start, end, radius, math.inf)
     return Fit(start, end, radius, volume(start, end, radius) / bare)
-
-
-def volume(start: Array, end: Array, radius: float) -> float:
-    """Of a capsule, m³."""
-    return math.pi * radius**2 * (float(np.linalg.norm(end - start)) + 4.0 / 3.0 * radius)
-
-
-def _depths(start: Array, end: Array, radius: float, balls: Array) -> Array:
-    """How deep each ball lies in a capsule, m; negative where it stands out."""
-    points = balls[:, :3]
-    return radius - balls[:, 3] - segment_distances((points, points), (start, end))
-
-
-def _outer(balls: Array) -> Array:
-    """The balls without the points that are inside of the convex hull of all points."""
-    points = balls[balls[:, 3] == 0.0]
-    if len(points) <= 8:
-        return balls
-    try:
-        return np.concatenate([balls[balls[:, 3] > 0.0], points[ConvexHull(points[:, :3]).vertices]])
-    except QhullError:
-        # They are flat: all of them are outside.
-        return balls

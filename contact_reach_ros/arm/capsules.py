@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_reach_ros.arm.arm import PARALLEL, Arm, Array, Capsule
+from contact_reach_ros.arm.arm import Arm, Array, Capsule
 from contact_reach_ros.arm.kinematics import link_frames_of_many
 
 _POSTURES = 8192
@@ -60,6 +60,11 @@ def shape_segments(arm: Arm, q: Array) -> tuple[Array, Array]:
     return placed(starts.astype(float)), placed(ends.astype(float))
 
 
+def volume(start: Array, end: Array, radius: float) -> float:
+    """Of a capsule, m³."""
+    return math.pi * radius**2 * (float(np.linalg.norm(end - start)) + 4.0 / 3.0 * radius)
+
+
 def segment_distances(first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
     """Distance (...) of segments from `start` to `end`, (..., 3) each, m.
 
@@ -87,22 +92,19 @@ def self_pairs(arm: Arm, overlapping: bool = False) -> tuple[tuple[int, int], ..
     return tuple((int(first), int(second)) for first, second in pairs[overlap == overlapping])
 
 
+@functools.cache
 def touching_pairs(arm: Arm) -> NDArray[np.intp]:
-    """Indices (P, 2) into `shapes` of the pairs that can touch, found once for all arms with the same capsules.
+    """Indices (P, 2) into `shapes` of the pairs that can touch.
 
     Left out are pairs that no posture within the limits brings near each other, and those whose distance a single
     joint changes: that joint's limits keep them apart, whatever the capsules' coarse ends do.
     """
-    nowhere = (0.0,) * 3
-    same = {"tip_offset": nowhere, "tip_rotation": PARALLEL, "shoulder": nowhere, "reach": 0.0, "inertia_sets": {}}
-    return _touching(dataclasses.replace(arm, home=(0.0,) * arm.n, **same))  # type: ignore[arg-type]
-
-
-@functools.cache
-def _touching(arm: Arm) -> NDArray[np.intp]:
     random = np.random.default_rng(0)
     postures = random.uniform(arm.lower, arm.upper, (_POSTURES, arm.n))
-    pairs = all_pairs(arm)[pair_distances(arm, postures).min(axis=0) < _NEAR]
+    pairs = np.stack(np.triu_indices(len(shapes(arm)), 1), axis=1)
+    # One of each pair moves.
+    pairs = pairs[pairs[:, 1] >= len(arm.base_capsules)]
+    pairs = pairs[pair_distances(arm, postures, pairs).min(axis=0) < _NEAR]
     few = postures[:_TURNED]
     before, changing = pair_distances(arm, few, pairs), np.zeros(len(pairs), int)
     for joint in range(arm.n):
@@ -112,16 +114,9 @@ def _touching(arm: Arm) -> NDArray[np.intp]:
     return pairs[changing > 1]
 
 
-@functools.cache
-def all_pairs(arm: Arm) -> NDArray[np.intp]:
-    """Indices (P, 2) into `shapes` of all pairs but those that do not move."""
-    pairs = np.stack(np.triu_indices(len(shapes(arm)), 1), axis=1)
-    return pairs[pairs[:, 1] >= len(arm.base_capsules)]
-
-
-def pair_distances(arm: Arm, q: Array, pairs: NDArray[np.intp] | None = None) -> Array:
-    """Distances (N, P) of the surfaces of pairs (P, 2) of `shapes`, all unless given, in postures (N, n), m."""
-    return pairs_apart(arm, shape_segments(arm, q), all_pairs(arm) if pairs is None else pairs)
+def pair_distances(arm: Arm, q: Array, pairs: NDArray[np.intp]) -> Array:
+    """Distances (N, P) of the surfaces of pairs (P, 2) of `shapes` in postures (N, n), m."""
+    return pairs_apart(arm, shape_segments(arm, q), pairs)
 
 
 def pairs_apart(arm: Arm, segments: tuple[Array, Array], pairs: NDArray[np.intp]) -> Array:

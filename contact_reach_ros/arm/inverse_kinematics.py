@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pinocchio as pin
 
 from contact_reach_ros.arm.arm import Arm, Array
-from contact_reach_ros.arm.capsules import segment_distances
 from contact_reach_ros.arm.kinematics import AXIS, POSE, POSITION, link_frames_of_many, task_jacobians
 
 _STEPS = 60
@@ -17,37 +14,6 @@ _DAMPING = 0.05
 _LONGEST_STEP = 0.5
 """Longest step of a joint in one iteration, rad."""
 _POSITION_TOLERANCE, _ROTATION_TOLERANCE = 1e-4, 1e-3
-_SEEDS = 64
-"""Random postures from which `is_attainable` searches: it found all of 2000 poses of random postures, and of an arm
-with six joints all but one."""
-
-
-def unreachable(arm: Arm, position: Array) -> str:
-    """Why the flange cannot be at `position` (3,), m, base frame; empty if no reason is known.
-
-    Reasons are a position farther from the shoulder than the arm reaches, and one inside the base. The text continues a
-    sentence that begins with the name of the position.
-    """
-    distance = math.dist(position.tolist(), arm.shoulder)
-    if distance > arm.reach:
-        return f"is {distance:.4g} m from the shoulder at {list(arm.shoulder)} m; the arm reaches {arm.reach} m"
-    for fixed in arm.base_capsules:
-        ends = np.array(fixed.start, float), np.array(fixed.end, float)
-        if segment_distances((position, position), ends) < fixed.radius:
-            place, name = np.round(position, 3).tolist(), fixed.name or "the base"
-            return f"= {place} m lies inside {name}; expected at least {fixed.radius} m from its axis"
-    return ""
-
-
-def is_attainable(arm: Arm, position: Array, rotation: Array | None, q: Array, only_axis: bool = False) -> bool:
-    """Whether some posture within the joint limits has the flange at a pose, as for `solve_ik`.
-
-    `q`: the present posture (n,), rad. It takes about 10 ms, and 0.1 s where there is none.
-    """
-    # The same seeds each time: so is the answer.
-    drawn = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_SEEDS, arm.n))
-    seeds = np.concatenate([[q, arm.home], drawn])
-    return len(solve_ik(arm, position, rotation, seeds, 0.0, only_axis, first=True)) > 0
 
 
 def solve_ik(

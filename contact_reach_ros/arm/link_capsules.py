@@ -208,4 +208,4 @@ def _points(points: Array) -> Array:
 def _capsule(link: int, start: Array, end: Array, radius: float, name: str) -> Capsule:
     """In tenths of a millimetre; what fits stays inside."""
     begins, ends = (vector(np.round(point, 4) + 0.0) for point in (start, end))
-    return Capsule(link, begins, ends, round(math.ceil(1e4 * radius) / 1e4 + 1e-4, 4), name)
+    return Capsule(link, begins, ends, round(math.ceil(round(1e4 * radius, 3)) / 1e4 + 1e-4, 4), name)

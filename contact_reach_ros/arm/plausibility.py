@@ -12,8 +12,8 @@ import pinocchio as pin
 
 from contact_reach_ros.arm.arm import Array
 from contact_reach_ros.arm.assumptions import inertias_at_home
-from contact_reach_ros.arm.capsule_fit import volume
-from contact_reach_ros.arm.kinematics import tensor_matrix, tensor_values
+from contact_reach_ros.arm.capsules import volume
+from contact_reach_ros.arm.kinematics import tensor_values
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import SettingsError
 
@@ -28,10 +28,6 @@ _LIGHT = 0.05
 """Mass by volume of the capsules, kg per litre, below which the masses are hardly real; robots have 0.3 to 2."""
 _SLOW = 5.0
 """Acceleration at home, rad/s², which the drives of real arms are good for; those of a UR20 for 40."""
-_SPECK = 1e-4
-"""Share of the moving mass below which a link's is hardly real."""
-_WIDE = 0.25
-"""Radius of gyration by the arm's reach above which an inertia is hardly real; rods of half the reach have 0.15."""
 _THICK = 1.0
 """Radius of a link, m, that no arm has."""
 _ALIKE = 3
@@ -166,19 +162,8 @@ def doubts(model: RobotModel) -> list[str]:
     litres = 1e3 * sum(volume(np.array(shape.start), np.array(shape.end), shape.radius) for shape in arm.capsules)
     if mass < _LIGHT * litres:
         found.append(f"inertias: the moving links weigh {mass:.3g} kg in {litres:.3g} litres; these are placeholders")
-    pairs = zip(arm.link_names, inertias, strict=True)
-    if specks := [f"{link} ({each.mass:.2g} kg)" for link, each in pairs if each.mass < _SPECK * mass]:
-        found.append(f"inertias: next to none of {mass:.3g} kg is on {', '.join(specks)}; these are placeholders")
     for what, values in (("masses", [each.mass for each in inertias]), ("tensors", [each.tensor for each in inertias])):
         count = Counter(values).most_common(1)[0][1]
         if count >= _ALIKE and count > 0.5 * arm.n:
             found.append(f"inertias: {count} of {arm.n} links have equal {what}; these are placeholders")
-    moments = [np.linalg.eigvalsh(tensor_matrix(each.tensor))[-1] / each.mass for each in inertias]
-    wide = [
-        f"{link} ({np.sqrt(moment):.2g} m)"
-        for link, moment in zip(arm.link_names, moments, strict=True)
-        if moment > (_WIDE * arm.reach) ** 2
-    ]
-    if wide:
-        found.append(f"inertias: radii of gyration are too large for a reach of {arm.reach:g} m: {', '.join(wide)}")
     return found

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,23 +10,17 @@ from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
-import yaml
 
 from contact_reach_ros.arm import assumptions
 from contact_reach_ros.arm.arm import Arm, Array, Inertia, Vector3
-from contact_reach_ros.arm.kinematics import tensor_matrix
+from contact_reach_ros.arm.model import spatial_inertia
 from contact_reach_ros.arm.mount import mounted
+from contact_reach_ros.arm.plausibility import wrong_inertias
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import unknown_key
 
-_WIDTH = 100
-"""Of lines in tables."""
-_ROUNDING = 1e-10
-
 MOUNT = "mount"
 _FULL_TURN = 6.3
-_EXCESS = 1e-3
-"""Share of the sum of two principal moments by which the third may exceed it, as numbers in tables are rounded."""
 _MOST = 1e9
 """Of any number, in units of the SI."""
 _SLACK = 1e-3
@@ -170,15 +162,9 @@ def _wrong(arm: Arm) -> Iterator[str]:
     for name, rotation in (*((joint.name, joint.rotation) for joint in arm.joints), ("the tip", arm.tip_rotation)):
         if not any(rotation):
             yield f"the rotation of {name} is {list(rotation)}; expected a quaternion, as [w, x, y, z]"
-    for link, inertia in itertools.chain(
-        *(zip(arm.link_names, each, strict=True) for each in arm.inertia_sets.values())
-    ):
-        moments = np.linalg.eigvalsh(tensor_matrix(inertia.tensor))
-        if not (inertia.mass > 0.0 and moments[0] > 0.0 and moments[2] <= (1.0 + _EXCESS) * (moments[0] + moments[1])):
-            text = (
-                f"mass {inertia.mass:g} kg and principal moments {', '.join(f'{each:.4g}' for each in moments)} kg m²"
-            )
-            yield f"link '{link}' has {text}; expected all above 0, and none above the sum of the others"
+    for inertias in arm.inertia_sets.values():
+        for link, inertia in zip(arm.link_names, map(spatial_inertia, inertias), strict=True):
+            yield from (fault.text for fault in wrong_inertias(link, inertia, {link: inertia}))
     for capsule in (*arm.capsules, *arm.base_capsules):
         if not capsule.radius > 0.0:
             yield f"a capsule of link {capsule.link} has radius {capsule.radius:g} m; expected a number above 0"
@@ -244,17 +230,6 @@ def table_of(arm: Arm) -> dict[str, Any]:
     """The table of an arm, which `arm_of_table` takes: numbers, strings, lists and mappings, as JSON has them."""
     table: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(arm))
     return table
-
-
-def table_text(arm: Arm, digits: int = 6) -> str:
-    """The table of an arm as YAML, with numbers of so many significant digits, and 0 for rounding errors."""
-
-    def rounded(number: str) -> float:
-        return float(f"{float(number):.{digits}g}") if abs(float(number)) > _ROUNDING else 0.0
-
-    table = json.loads(msgspec.json.encode(arm), parse_float=rounded)
-    text: str = yaml.dump(table, sort_keys=False, default_flow_style=None, width=_WIDTH)
-    return text
 
 
 def converted(content: Mapping[str, Any], kind: type[T], source: str) -> T:

@@ -1,8 +1,7 @@
 """The numbers of the messages of a topic as columns of arrays.
 
 Ten minutes of a 1 kHz arm are two million messages. Decoding them one by one takes minutes; here batches of equal
-layout are decoded together, and one whose messages differ is halved until they do not. An hour as a whole would take
-gigabytes; a collector can keep what a curve needs.
+layout are decoded together, and one whose messages differ is halved until they do not.
 """
 
 from __future__ import annotations
@@ -11,13 +10,12 @@ import dataclasses
 import struct
 from abc import ABC, abstractmethod
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contact_reach_ros.bags.mcap_file import Messages
-from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.messages.cdr import (
     ARRAY_START,
     COUNT,
@@ -52,8 +50,6 @@ class Column:
         (n,) the publisher's numbers of the messages, 0 where unknown.
     stamp_ns :
         (n,) header.stamp, ns; 0 for messages without one.
-    names :
-        (k,) names of the values.
     values :
         (n, k); NaN where a message lacks the value.
     refused :
@@ -66,7 +62,6 @@ class Column:
     publish_ns: Times
     sequence: Times
     stamp_ns: Times
-    names: tuple[str, ...]
     values: Values
     refused: int = 0
     back: int = 0
@@ -74,38 +69,23 @@ class Column:
     def __len__(self) -> int:
         return len(self.log_ns)
 
-    @property
-    def time_ns(self) -> Times:
-        """(n,) stamps, or times of reception where they are zero, ns."""
-        return np.where(self.stamp_ns == 0, self.log_ns, self.stamp_ns)
-
 
 class Collector(ABC):
     """Collects the messages of one topic into a column; subclasses decode them.
 
     Parameters
     ----------
-    names :
-        Of the values of a message.
+    width :
+        Number of values of a message.
     stamped :
         Whether the messages begin with a header.
-
-    Attributes
-    ----------
-    stride :
-        If it is not 1, only messages that a curve needs are kept: of each part every so many, the last one, and those
-        with the least and the greatest value of each column.
-    watches :
-        Are given all messages, part by part.
     """
 
-    def __init__(self, names: tuple[str, ...], stamped: bool) -> None:
-        self.names, self.stamped = names, stamped
-        self.stride = 1
-        self.watches: list[Callable[[Column], None]] = []
+    def __init__(self, width: int, stamped: bool) -> None:
+        self.width, self.stamped = width, stamped
         # They grow in place: to join parts at the end would take as much memory again.
         self._times, self._values = array("q"), array("d")
-        self._refused = self._back = self._last_ns = 0
+        self._refused = 0
 
     @abstractmethod
     def decode(self, rows: Bytes) -> Values | None:
@@ -120,40 +100,16 @@ class Collector(ABC):
         # Room for the stamps in the last row.
         times = np.stack([messages[name] for name in ("log_ns", "publish_ns", "sequence", "sequence")])
         times[3] = 0
-        decoded = list(self._read(messages["data"].tolist(), times))
-        if not decoded:
-            return
-        times = np.concatenate([times for times, _ in decoded], axis=1)
-        part = self._as_column(times, np.concatenate([values for _, values in decoded]))
-        self._back += int((np.diff(part.stamp_ns, prepend=self._last_ns) < 0).sum())
-        self._last_ns = int(part.stamp_ns[-1])
-        for watch in self.watches:
-            watch(part)
-        rows = self._needed(part) if self.stride > 1 else slice(None)
-        self._times.frombytes(times.T[rows].tobytes())
-        self._values.frombytes(part.values[rows].tobytes())
+        for read, values in self._read(messages["data"].tolist(), times):
+            self._times.frombytes(read.T.tobytes())
+            self._values.frombytes(values.tobytes())
 
     def column(self) -> Column:
-        """Return the messages so far as a column; the collector is empty afterwards."""
-        times = np.frombuffer(self._times, np.int64).reshape(-1, 4)
-        values = np.frombuffer(self._values).reshape(len(times), len(self.names))
-        self._times, self._values = array("q"), array("d")
-        return self._as_column(times.T, values)
-
-    def _as_column(self, times: Times, values: Values) -> Column:
-        log_ns, publish_ns, sequence, stamp_ns = times
-        return Column(log_ns, publish_ns, sequence, stamp_ns, self.names, values, self._refused, self._back)
-
-    def _needed(self, part: Column) -> NDArray[np.intp]:
-        """Rows (n,) of a part that are kept of a thinned column."""
-        kept = [np.arange(0, len(part), self.stride), np.array([len(part) - 1])]
-        # The extremes of short blocks: about as many rows as the others.
-        size = max(2 * part.values.shape[1], 1) * self.stride
-        for start in range(0, len(part), size):
-            block = part.values[start : start + size]
-            kept.append(start + np.argmin(np.where(np.isnan(block), np.inf, block), axis=0))
-            kept.append(start + np.argmax(np.where(np.isnan(block), -np.inf, block), axis=0))
-        return np.unique(np.concatenate(kept))
+        """Return the messages so far as a column."""
+        log_ns, publish_ns, sequence, stamp_ns = np.frombuffer(self._times, np.int64).reshape(-1, 4).T
+        values = np.frombuffer(self._values).reshape(-1, self.width)
+        back = int((np.diff(stamp_ns) < 0).sum())
+        return Column(log_ns, publish_ns, sequence, stamp_ns, values, self._refused, back)
 
     def _read(self, data: list[bytes], times: Times) -> Iterator[tuple[Times, Values]]:
         """Decode messages together if they have one layout, else each half by itself; refuse single ones."""
@@ -196,7 +152,7 @@ class JointStates(Collector):
     """
 
     def __init__(self, fields: Sequence[str], joints: Sequence[str]) -> None:
-        super().__init__(tuple(joints) * len(fields), stamped=True)
+        super().__init__(len(fields) * len(joints), stamped=True)
         self._joints = tuple(joints)
         self._fields = [JOINT_STATE_FIELDS.index(field) for field in fields]
 
@@ -225,27 +181,12 @@ class Arrays(Collector):
     """Decodes Float64MultiArray messages without layouts; those that do not have `width` values become rows of NaN."""
 
     def __init__(self, width: int) -> None:
-        super().__init__(tuple(map(str, range(width))), stamped=False)
-        self._width = width
+        super().__init__(width, stamped=False)
         self._head = np.frombuffer(PLAIN_CDR + NO_LAYOUT + COUNT.pack(width), np.uint8)
 
     def decode(self, rows: Bytes) -> Values | None:
         """See `Collector.decode`."""
-        end = ARRAY_START + 8 * self._width
+        end = ARRAY_START + 8 * self.width
         if rows.shape[1] < end or not (rows[:, : len(self._head)] == self._head).all():
-            return np.full((1, self._width), np.nan) if len(rows) == 1 else None
+            return np.full((1, self.width), np.nan) if len(rows) == 1 else None
         return np.ascontiguousarray(rows[:, ARRAY_START:end]).view("<f8")
-
-
-def reading(bag: BagReader, handlers: Mapping[str, Callable[[Messages], None]]) -> Iterator[int]:
-    """Pass the messages of some topics to their handlers by time of reception; skip topics that the bag lacks.
-
-    Yields the number of messages each time that some were passed, to one handler after the other.
-    """
-    names = [name for name in handlers if name in bag.topics]
-    for batch in bag.batches(names):
-        for number, name in enumerate(names):
-            messages = batch[batch["topic"] == number]
-            if len(messages):
-                handlers[name](messages)
-        yield len(batch)

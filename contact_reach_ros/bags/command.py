@@ -15,7 +15,6 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from contact_reach_ros.bags.columns import reading
 from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import LOST, RecordedTopic
@@ -39,8 +38,7 @@ def read_info(path: Path) -> dict[str, Any]:
         # A copy, since the view would keep the messages.
         times_ns[name].append(messages["log_ns"].copy())
 
-    for _ in reading(reader, {name: partial(keep, name) for name in reader.topics}):
-        pass
+    reader.pass_on({name: partial(keep, name) for name in reader.topics})
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
     return {
         "path": str(path),

@@ -6,7 +6,6 @@ ROS's own types come from tables that are part of `rosbags`.
 from __future__ import annotations
 
 import functools
-import importlib
 import re
 import struct
 from typing import Any
@@ -14,6 +13,8 @@ from typing import Any
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+
+from contact_reach_ros.messages.topics import message_class
 
 
 @functools.cache
@@ -30,15 +31,6 @@ def standard_definition(name: str) -> tuple[bytes, str]:
     _learn(name)
     text, _ = store.generate_msgdef(name, ros_version=2)
     return text.encode(), store.hash_rihs01(name)
-
-
-def message_class(name: str) -> Any:
-    """Return the class of a message type, such as sensor_msgs/msg/JointState; None if it is not installed."""
-    package, _, kind = name.partition("/msg/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), kind, None)
-    except (ImportError, TypeError, ValueError):
-        return None
 
 
 _LIST = re.compile(r"sequence<(?P<of>.+?)(?:, (?P<most>\d+))?>|(?P<item>.+)\[(?P<length>\d+)\]")

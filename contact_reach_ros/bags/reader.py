@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,10 +17,12 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from contact_reach_ros.bags.mcap_file import McapFile, Messages, in_order
 from contact_reach_ros.bags.message_types import decode
-from contact_reach_ros.bags.topics import CDR, MCAP_KEY, MCAP_NAME, TYPES, RecordedTopic
+from contact_reach_ros.bags.topics import CDR, MCAP_KEY, MCAP_NAME, RecordedTopic
 from contact_reach_ros.errors import BagError
+from contact_reach_ros.messages.topics import ALL
 from contact_reach_ros.timing import NANOSECONDS
 
+_TYPES = {f"/{topic.name}": topic.type_name for topic in ALL}
 _STATES, _SAFETY = "/joint_states", "/safety_state"
 """Topics that every stack has."""
 
@@ -109,6 +111,15 @@ class BagReader:
             raise BagError(f"bag '{self.path}' has no topic '{missing[0]}'; it has {known}")
         return in_order(self._files, topics, start_ns)
 
+    def pass_on(self, handlers: Mapping[str, Callable[[Messages], None]]) -> None:
+        """Pass the messages of some topics to their handlers, many at once; skip topics that the bag lacks."""
+        names = [name for name in handlers if name in self.topics]
+        for batch in self.batches(names):
+            for number, name in enumerate(names):
+                messages = batch[batch["topic"] == number]
+                if len(messages):
+                    handlers[name](messages)
+
     def raw_messages(self, topics: Collection[str] | None = None, start_ns: int = 0) -> Iterator[RawMessage]:
         """Yield serialised messages of some topics, or of all, one by one; as `batches`."""
         names = sorted(self.topics if topics is None else topics)
@@ -180,7 +191,7 @@ class BagReader:
         for file in self._files:
             for number, channel in file.channels.items():
                 name, schema = channel.topic, file.schemas.get(channel.schema_id)
-                kind, expected = schema.name if schema else "no type", TYPES.get(name.removeprefix("/"))
+                kind, expected = schema.name if schema else "no type", _TYPES.get(name)
                 if expected not in (None, kind):
                     note = f"topic '{name}': is {kind}, expected {expected}; it is left out"
                     self._notes += [note] * (note not in self._notes)

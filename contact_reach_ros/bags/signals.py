@@ -8,26 +8,21 @@ another rate than the wall clock.
 from __future__ import annotations
 
 import dataclasses
-import struct
-import sys
-from array import array
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from contact_reach_ros.arm import Arm, tip_positions
 from contact_reach_ros.arms import EARLIER_DIGESTS, ROBOT_DIGEST, ROBOT_TABLE, arm_in, load_arm
-from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, reading
+from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates
 from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.errors import BagError, SettingsError
-from contact_reach_ros.messages.cdr import ARRAY_START, COUNT, HEADER, NO_LAYOUT, PLAIN_CDR, STAMP, Cursor
-from contact_reach_ros.messages.intake import COLUMNS, Taken
-from contact_reach_ros.messages.safety_state import is_stopped
-from contact_reach_ros.messages.values import GOAL_PHASE, GOAL_STAMP, nanoseconds, read_settings
+from contact_reach_ros.messages.intake import Taken, read_batch
+from contact_reach_ros.messages.safety_state import SafetyState, read_state
+from contact_reach_ros.messages.values import GOAL_PHASE, GOAL_STAMP, nanoseconds, numbers, read_settings
 from contact_reach_ros.timing import NANOSECONDS
 
 SETTINGS = "settings"
@@ -36,20 +31,13 @@ COMMANDS = ("adapter/commands", "effort_controller/commands")
 
 _ONLOOKERS = ("recorder", "viewer")
 """Nodes that may have been started apart from the stack, with another arm."""
-_SPARSE = ("goal/state", "goal_pose", "safety_state", "diagnostics", "plan/statistics", SETTINGS, "intake/controller")
-"""Topics with few messages."""
-_LONG = 300_000
-"""Messages of a topic, five minutes of a 1 kHz arm, from which on it is thinned for a report."""
-_STRIDES, _STRIDE = {"joint_states": 10, "sim/contacts": 10}, 50
-"""Of so many messages then one is kept, beside extremes; the distance to the goal takes a joint state each 10 ms."""
 
 _REFUSED, _SETTLED = "refused", "settled"
 """Phases of goals that are kept: one that is not pursued, and one at which the arm is at rest."""
-_KEPT_PHASES = tuple(phase.encode() for phase in (_REFUSED, _SETTLED))
 
 _OF_PLANS = ("took ms", "cost")
 """Beginnings of the keys in plan/statistics that are kept."""
-_STOP_REASON, _MISSED = b"stop reason", b"missed ticks"
+_STOP_REASON, _MISSED = "stop reason", "missed ticks"
 """Keys: why the search for a plan ended, and the driver's count in its diagnostics."""
 
 _ROUNDING = 1e-9
@@ -120,20 +108,6 @@ class Series:
 
 
 @dataclasses.dataclass(frozen=True)
-class SafetyEvent:
-    """A change of a node's safety state.
-
-    Time in s, level of the DiagnosticStatus (0: OK), name of the node, message, and whether the state is a stop.
-    """
-
-    time: float
-    level: int
-    name: str
-    message: str
-    is_stop: bool
-
-
-@dataclasses.dataclass(frozen=True)
 class EpisodeSignals:
     """The signals of an episode; a series is empty where its topic was not recorded.
 
@@ -149,10 +123,8 @@ class EpisodeSignals:
         Residual of the momentum observer, Nm.
     contact_force :
         True contact force in simulation, N: a column per robot body, and the columns "sum" and "max".
-    safety :
-        Changes of the safety states, ordered by time; repetitions are left out.
     safety_states :
-        All safety states: time, s, and decoded message; of a report those of the changes.
+        Safety states of the nodes, as they were published.
     goals :
         Positions of the goals that the planner accepted, m: the columns x, y and z.
     refused_goals :
@@ -165,14 +137,10 @@ class EpisodeSignals:
         Solve time and costs of the plans by key, at the times at which they take effect.
     stop_reasons :
         Why the search for each of the plans ended.
-    ticks :
-        (n,) times of all joint states, s, also where the series are thinned.
     state_sent_ns :
-        (n,) when they were sent, ns since the epoch.
+        (n,) when the joint states were sent, ns since the epoch.
     answers_ns :
         (n,) from the sending of a joint state to the sending of its command, ns.
-    settings :
-        Settings by node.
     notes :
         Irregularities of the messages, one sentence each.
     """
@@ -184,24 +152,27 @@ class EpisodeSignals:
     command: Series
     external_torque: Series
     contact_force: Series
-    safety: tuple[SafetyEvent, ...]
-    safety_states: Sequence[tuple[float, Any]]
+    safety_states: tuple[SafetyState, ...]
     goals: Series
     refused_goals: Series
     settled: np.ndarray
     missed_ticks: Series
     plans: Series
     stop_reasons: tuple[str, ...]
-    ticks: np.ndarray
     state_sent_ns: np.ndarray
     answers_ns: np.ndarray
-    settings: Mapping[str, Mapping[str, Any]]
     notes: tuple[str, ...]
 
     @property
-    def origin_ns(self) -> int:
-        """Stamp of the first joint state, at time 0, ns."""
-        return self.clock.origin_ns
+    def safety(self) -> tuple[SafetyState, ...]:
+        """Changes of the safety states: repetitions are left out."""
+        last: dict[str, tuple[int, str]] = {}
+        changes = []
+        for state in self.safety_states:
+            if last.get(state.name) != (state.level, state.message):
+                last[state.name] = state.level, state.message
+                changes.append(state)
+        return tuple(changes)
 
     def plan_age(self, times: np.ndarray) -> np.ndarray:
         """Time (n,), s, since the plan in force at each of the times (n,), s, took effect; NaN before the first."""
@@ -242,67 +213,41 @@ def recorded_arm(settings: Mapping[str, Mapping[str, Any]]) -> Arm:
     return found or load_arm()
 
 
-def read_signals(
-    bag: BagReader, arm: Arm, watch: Mapping[str, Callable[[Column], None]] | None = None
-) -> EpisodeSignals:
-    """Read an episode; joints and contact links are mapped by name to those of the arm.
-
-    `watch` is for reports, which keep little of a long recording: long series are thinned so that no peak is lost, and
-    its functions are given all messages of a topic, part by part.
-    """
+def read_signals(bag: BagReader, arm: Arm) -> EpisodeSignals:
+    """Read an episode; joints and contact links are mapped by name to those of the arm."""
     joints, count = arm.joint_names, arm.n
+    forces = *arm.contact_links, "sum", "max"
     commands = next((name for name in COMMANDS if f"/{name}" in bag.topics), COMMANDS[-1])
     columns: dict[str, Collector] = {
         "joint_states": JointStates(("position", "velocity", "effort"), joints),
         commands: Arrays(count),
         "external_torque": JointStates(("effort",), joints),
-        "sim/contacts": JointStates(("effort",), (*arm.contact_links, "sum", "max")),
+        "sim/contacts": JointStates(("effort",), forces),
     }
-    # Times in ns, and numbers of commands.
-    ticks, sent, answered = ([array(code) for code in codes] for codes in (("q", "q", "q"), ("I", "q"), ("I", "q")))
-    columns["joint_states"].watches.append(lambda part: _extend(ticks, part.log_ns, part.stamp_ns, part.publish_ns))
-    columns[commands].watches.append(lambda part: _extend(sent, part.sequence, part.publish_ns))
-    for name, column in columns.items():
-        topic = bag.topics.get(f"/{name}")
-        if watch is not None and topic is not None and topic.message_count > _LONG:
-            column.stride = _STRIDES.get(name, _STRIDE)
-        if watch is not None and name in watch:
-            column.watches.append(watch[name])
-    sparse: dict[str, list[tuple[int, Any]]] = {name: [] for name in _SPARSE}
-    plans: list[_Plan] = []
-    unread: Counter[str] = Counter()
-    take: dict[str, Callable[[RawMessage], Any]] = {
-        "diagnostics": lambda raw: list(_missed_ticks(raw.data)) or None,
-        "goal/state": lambda raw: bag.decode(raw) if any(phase in raw.data for phase in _KEPT_PHASES) else None,
-        "intake/controller": lambda raw: _extend(answered, *_answered(raw.data)),
-        "plan/statistics": lambda raw: plans.extend(_plans(raw.data)),
+    take: dict[str, Callable[[Any], Any]] = {
+        "goal/state": _end_of_goal,
+        "goal_pose": lambda message: message,
+        "safety_state": partial(read_state, arm=arm),
+        "diagnostics": _missed_ticks,
+        "plan/statistics": _plan,
+        "intake/controller": _answered,
     }
-    if watch is not None:
-        last: dict[bytes, tuple[int, bytes]] = {}
-        take["safety_state"] = lambda raw: None if _is_repeated(raw.data, last) else bag.decode(raw)
+    sparse: dict[str, list[tuple[int, Any]]] = {name: [] for name in take}
 
     def few(name: str, messages: Messages) -> None:
-        """Keep of each message what is needed; those that cannot be decoded are left out, as notes say."""
+        """Keep of each message what is needed."""
         for _, *row in messages.tolist():
             raw = RawMessage(f"/{name}", *row)
-            try:
-                taken = take.get(name, bag.decode)(raw)
-            except (struct.error, ValueError):
-                unread[name] += 1
-                continue
+            message = bag.decode(raw)
+            taken = None if message is None else take[name](message)
             if taken is not None:
                 sparse[name].append((raw.log_time_ns, taken))
 
     handlers: dict[str, Callable[[Messages], None]] = {f"/{name}": column for name, column in columns.items()}
     handlers |= {f"/{name}": partial(few, name) for name in sparse}
-    for _ in reading(bag, handlers):
-        pass
-    state, command, torque, contact = (column.column() for column in columns.values())
-    answers_ns = _answers(*map(_as_array, (*sent, *answered)))
-    for numbers in (*sent, *answered):
-        del numbers[:]
-    received_ns, stamps_ns, sent_ns = map(_as_array, ticks)
-    clock = Clock(received_ns, stamps_ns)
+    bag.pass_on(handlers)
+    state, command, torque, contact = read = [column.column() for column in columns.values()]
+    clock = Clock(state.log_ns, state.stamp_ns)
 
     def received(name: str) -> list[tuple[float, Any]]:
         """Time, s, and what is kept of a message."""
@@ -310,17 +255,12 @@ def read_signals(
         return list(zip(times, (taken for _, taken in sparse[name]), strict=True))
 
     state_times = clock.of_stamps(state.stamp_ns, state.log_ns)
-    safety_states = received("safety_state")
-    plans.sort(key=lambda plan: plan[0])
-    keys = sorted({key for *_, names, _ in plans for key in names})
-    plan_table = np.full((len(plans), len(keys)), np.nan)
-    columns_of = {names: [keys.index(key) for key in names] for names in {names for *_, names, _ in plans}}
-    for row, (*_, names, values) in enumerate(plans):
-        plan_table[row, columns_of[names]] = values
+    plans = sorted((plan for _, plan in sparse["plan/statistics"]), key=lambda plan: plan[0])
+    keys = sorted({key for *_, values in plans for key in values})
     effects_ns = np.array([effect_ns for effect_ns, *_ in plans], np.int64)
-    missed = [(time, number) for time, numbers_ in received("diagnostics") for number in numbers_]
-    missed_table = np.array(missed).reshape(-1, 2)
-    states = [(time, {entry.key: entry.value for entry in message.values}) for time, message in received("goal/state")]
+    plan_table = np.array([[values.get(key, np.nan) for key in keys] for *_, values in plans])
+    missed = np.array(received("diagnostics")).reshape(-1, 2)
+    states = received("goal/state")
     goals, refused_goals = _goals(received("goal_pose"), states, arm.base_frame)
     return EpisodeSignals(
         clock,
@@ -329,23 +269,17 @@ def read_signals(
         Series(state_times, joints, state.values[:, 2 * count :]),
         Series(clock.of_receptions(command.log_ns), joints, command.values),
         Series(clock.of_stamps(torque.stamp_ns, torque.log_ns), joints, torque.values),
-        Series(clock.of_stamps(contact.stamp_ns, contact.log_ns), contact.names, contact.values),
-        tuple(_changes(safety_states)),
-        safety_states,
+        Series(clock.of_stamps(contact.stamp_ns, contact.log_ns), forces, contact.values),
+        tuple(state._replace(time=time) for time, state in received("safety_state")),
         goals,
         refused_goals,
-        np.array([time for time, values in states if values.get(GOAL_PHASE) == _SETTLED]),
-        Series(missed_table[:, 0], ("missed ticks",), missed_table[:, 1:]),
-        Series((effects_ns - clock.origin_ns) / NANOSECONDS, tuple(keys), plan_table),
-        tuple(reason for _, reason, *_ in plans),
-        clock.of_stamps(stamps_ns, received_ns),
-        sent_ns,
-        answers_ns,
-        {status.name: read_settings(status) for _, status in sparse[SETTINGS]},
-        (
-            *(f"{name}: {count} messages cannot be read and are left out" for name, count in unread.items()),
-            *_oddities(dict(zip(columns, (state, command, torque, contact), strict=True))),
-        ),
+        np.array([time for time, values in states if values[GOAL_PHASE] == _SETTLED]),
+        Series(missed[:, 0], ("missed ticks",), missed[:, 1:]),
+        Series((effects_ns - clock.origin_ns) / NANOSECONDS, tuple(keys), plan_table.reshape(len(plans), len(keys))),
+        tuple(reason for _, reason, _ in plans),
+        state.publish_ns,
+        _answers(command, [taken for _, taken in sparse["intake/controller"]]),
+        tuple(_oddities(dict(zip(columns, read, strict=True)), joints)),
     )
 
 
@@ -378,106 +312,52 @@ def goal_distance(signals: EpisodeSignals, arm: Arm, period: float = 0.01) -> Se
     return Series(time[rows], ("distance",), np.linalg.norm(away, axis=1, keepdims=True))
 
 
-def _is_repeated(data: bytes, last: dict[bytes, tuple[int, bytes]]) -> bool:
-    """Whether a serialized status has level and message of its node's `last` one: some repeat theirs as a heartbeat."""
-    cursor = Cursor(data, HEADER + 1)
-    name, message = cursor.texts(2)
-    state = data[HEADER], message
-    is_repeated, last[name] = last.get(name) == state, state
-    return is_repeated
+def _end_of_goal(message: Any) -> dict[str, str] | None:
+    """The values of a goal's state in which it is refused or settled; None for others."""
+    values = {entry.key: entry.value for entry in message.values}
+    return values if values.get(GOAL_PHASE) in (_REFUSED, _SETTLED) else None
 
 
-def _changes(statuses: Sequence[tuple[float, Any]]) -> Iterator[SafetyEvent]:
-    """The statuses with a new state."""
-    last: dict[str, tuple[int, str]] = {}
-    for time, status in statuses:
-        state = (status.level, status.message)
-        if last.get(status.name) != state:
-            last[status.name] = state
-            yield SafetyEvent(time, status.level, status.name, status.message, is_stopped(status))
+def _missed_ticks(message: Any) -> float | None:
+    """The driver's count of missed ticks in its diagnostics; None in those of other nodes."""
+    counts = (dict(numbers(status)).get(_MISSED) for status in message.status if status.name == "driver")
+    return next(counts, None)
 
 
-_Plan = tuple[int, str, tuple[str, ...], Sequence[float]]
-"""Time at which a plan takes effect, ns, why its search ended, and keys and values of its numbers."""
+def _plan(message: Any) -> tuple[int, str, dict[str, float]] | None:
+    """When a plan takes effect, ns, why its search ended, and its numbers; None without a plan."""
+    for status in message.status:
+        reason = next((entry.value for entry in status.values if entry.key == _STOP_REASON), status.message)
+        values = {key: value for key, value in numbers(status) if key.startswith(_OF_PLANS)}
+        return nanoseconds(message.header.stamp), reason, values
+    return None
 
 
-_Status = tuple[int, str, str, list[bytes], list[bytes]]
-"""Stamp of its array, ns, name, message, and keys and values."""
-
-
-def _statuses(data: bytes) -> Iterator[_Status]:
-    """Yield the statuses in a serialized DiagnosticArray; an hour has a hundred thousand of them.
-
-    Raises `struct.error` or `ValueError` if the bytes are none.
-    """
-    cursor = Cursor(data)
-    seconds, nanosec = cursor.numbers(STAMP)
-    cursor.skip(1)  # frame_id
-    for _ in range(cursor.count()):
-        cursor.at += 1  # level
-        name, message, _ = cursor.texts(3)
-        items = cursor.texts(2 * cursor.count())
-        yield seconds * NANOSECONDS + nanosec, name.decode(), message.decode(), items[::2], items[1::2]
-
-
-@lru_cache(64)
-def _kept(keys: tuple[bytes, ...]) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """The keys of numbers that are kept of a plan, and their places among all."""
-    names = [key.decode() for key in keys]
-    places = tuple(place for place, name in enumerate(names) if name.startswith(_OF_PLANS))
-    return tuple(names[place] for place in places), places
-
-
-def _plans(data: bytes) -> Iterator[_Plan]:
-    for stamp_ns, _, message, keys, values in _statuses(data):
-        names, places = _kept(tuple(keys))
-        reason = values[keys.index(_STOP_REASON)].decode() if _STOP_REASON in keys else message
-        yield stamp_ns, sys.intern(reason), names, array("d", [float(values[place]) for place in places])
-
-
-def _answered(data: bytes) -> np.ndarray:
-    """Of the joint states in a record of the controller's inputs the number of the next command, and sending, ns."""
-    if not data.startswith(PLAIN_CDR + NO_LAYOUT):
-        raise ValueError("not in plain CDR, little-endian, or with a layout")
-    (count,) = COUNT.unpack_from(data, HEADER + len(NO_LAYOUT))
-    batch = np.frombuffer(data, "<i8", count, ARRAY_START)
-    rows = batch[1:].reshape(-1, len(COLUMNS)) if count % len(COLUMNS) == 1 else np.zeros((0, len(COLUMNS)), int)
+def _answered(message: Any) -> np.ndarray:
+    """Of the joint states in a batch of the controller's intake (2, n): number of the next command, and sending, ns."""
+    _, rows = read_batch(message)
     return np.stack([rows[:, 3] + 1, rows[:, 1]])[:, rows[:, 0] == Taken.JOINT_STATES]
 
 
-def _answers(numbers: np.ndarray, sent_ns: np.ndarray, wanted: np.ndarray, states_ns: np.ndarray) -> np.ndarray:
-    """From the sending of each joint state to that of its command, ns.
-
-    `numbers` are those of the commands, `wanted` those of the commands that answer the states.
-    """
-    if not len(numbers):
+def _answers(command: Column, answered: Sequence[np.ndarray]) -> np.ndarray:
+    """From the sending of each joint state to that of its command, ns; `answered` are those of `_answered`."""
+    if not len(command) or not answered:
         return np.zeros(0, np.int64)
-    order = np.argsort(numbers, kind="stable")
-    at = order[np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(numbers) - 1)]
+    wanted, states_ns = np.concatenate(answered, axis=1)
+    order = np.argsort(command.sequence, kind="stable")
+    at = order[np.minimum(np.searchsorted(command.sequence, wanted, sorter=order), len(command) - 1)]
     # States before the start, or that came again, have no answer: the number of commands stays as it is.
     is_last = np.append(wanted[1:] != wanted[:-1], True)
-    found = (sent_ns[at] - states_ns)[is_last & (numbers[at] == wanted)]
+    found = (command.publish_ns[at] - states_ns)[is_last & (command.sequence[at] == wanted)]
     return found[(found >= 0) & (found < NANOSECONDS)]
 
 
-def _extend(arrays: Sequence[array[int]], *parts: np.ndarray) -> None:
-    """Append to each array, which grows in place, a part of whole numbers."""
-    for grown, part in zip(arrays, parts, strict=True):
-        grown.frombytes(part.astype(grown.typecode, copy=False).tobytes())
-
-
-def _as_array(numbers: array[int]) -> np.ndarray:
-    return np.frombuffer(numbers, numbers.typecode)
-
-
-def _oddities(columns: Mapping[str, Column]) -> Iterator[str]:
+def _oddities(columns: Mapping[str, Column], joints: Sequence[str]) -> Iterator[str]:
     for name, column in columns.items():
         if column.refused:
             yield f"{name}: {column.refused} messages cannot be read and are left out"
         if column.back:
             yield f"{name}: {column.back} stamps are older than the one before; curves follow the stamps"
-    states = columns["joint_states"]
-    joints = states.names[: len(states.names) // 3]
     for name in columns:
         if name == "sim/contacts":
             continue
@@ -502,15 +382,8 @@ def _goals(
     kept = np.isfinite(positions).all(axis=1)
     for time, values in states:
         sent = np.flatnonzero(stamps_ns == values.get(GOAL_STAMP, ""))
-        if values.get(GOAL_PHASE) == _REFUSED and len(sent):
+        if values[GOAL_PHASE] == _REFUSED and len(sent):
             # Stamps may be zero.
             kept[sent[np.abs(times[sent] - time).argmin()]] = False
     for some in (kept, ~kept):
         yield Series(times[some], ("x", "y", "z"), positions[some])
-
-
-def _missed_ticks(data: bytes) -> Iterator[float]:
-    """The driver's count of missed ticks, out of its diagnostics."""
-    for _, name, _, keys, values in _statuses(data):
-        if name == "driver" and _MISSED in keys:
-            yield float(values[keys.index(_MISSED)])

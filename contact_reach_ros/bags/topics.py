@@ -14,32 +14,6 @@ CDR = "cdr"
 MCAP_NAME, MCAP_KEY = "rosbag2", "serialized_metadata"
 """Record and key under which rosbag2 keeps a copy of the metadata inside the mcap file."""
 
-_STATUS, _STATUSES = "diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/DiagnosticArray"
-_JOINTS, _TORQUES = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
-_INTAKE, _MARKERS = "std_msgs/msg/Int64MultiArray", "visualization_msgs/msg/MarkerArray"
-TYPES = {
-    "joint_states": _JOINTS,
-    "external_torque": _JOINTS,
-    "sim/contacts": _JOINTS,
-    "adapter/commands": _TORQUES,
-    "effort_controller/commands": _TORQUES,
-    "shadow/commands": _TORQUES,
-    "plan/request": _TORQUES,
-    "goal/state": _STATUS,
-    "safety_state": _STATUS,
-    "settings": _STATUS,
-    "diagnostics": _STATUSES,
-    "plan/statistics": _STATUSES,
-    "intake/controller": _INTAKE,
-    "intake/observer": _INTAKE,
-    "goal_pose": "geometry_msgs/msg/PoseStamped",
-    "obstacles": _MARKERS,
-    "plan/markers": _MARKERS,
-    "reference/pose": "trajectory_msgs/msg/MultiDOFJointTrajectory",
-    "reference/posture": "trajectory_msgs/msg/JointTrajectory",
-}
-"""Types of the topics of a stack that are read from its bag."""
-
 _UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
 """ROS's value for a duration without limit, as rosbag2 writes it."""
 

@@ -16,7 +16,7 @@ from contact_reach_ros.bringup.settings import BRINGUP_SECTIONS, BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.errors import ContactReachError, SettingsError
 from contact_reach_ros.ros.client import Client
-from contact_reach_ros.ros.discovery import reach
+from contact_reach_ros.ros.discovery import environment, reach
 from contact_reach_ros.ros.parameters import check_arguments, namespace_in
 from contact_reach_ros.ros.process import bare_node, in_namespace, with_description
 from contact_reach_ros.settings import NODES, as_arguments, parameters_in
@@ -41,7 +41,8 @@ def run_bringup(arguments: list[str]) -> int:
         options = resolved(check_arguments(arguments, NAME, BRINGUP_SECTIONS)[""], NAME, arguments)
         _check_own_files(arguments, options)
         arguments = [*arguments, *options.remappings]
-        with bare_node(NAME, options.discovery, arguments) as node:
+        os.environ.update(environment(options.discovery))
+        with bare_node(NAME, arguments) as node:
             _say_discovery(node, options.discovery)
             with StackProcesses(Client(node), options, passed_on=_remappings(arguments)) as stack:
                 try:

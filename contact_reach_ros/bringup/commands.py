@@ -5,32 +5,32 @@ Each returns its exit code: 0 done, 1 refused or not done; a `ContactReachError`
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
 
 from contact_reach_ros.arm import Array
-from contact_reach_ros.errors import ContactReachError, InputError
+from contact_reach_ros.errors import ContactReachError
 from contact_reach_ros.planning.settings import SPEED_SCALE
-from contact_reach_ros.ros.client import Outcome, StackClient, connect
+from contact_reach_ros.ros.client import Outcome, StackClient
 from contact_reach_ros.ros.interfaces import PLANNER
 from contact_reach_ros.world.goal import POSE
 
 
 def goto(
+    client: StackClient,
     position: Sequence[float],
     rpy: Sequence[float] | None = None,
     wait: bool = False,
     timeout: float = 30.0,
-    discovery: str = "host",
-    namespace: str = "",
 ) -> int:
     """Send a goal, and wait until it is taken or refused.
 
     Parameters
     ----------
+    client
+        Of the stack.
     position
         (3,) m of the flange, base frame.
     rpy
@@ -40,55 +40,44 @@ def goto(
         Also wait until the flange has settled there.
     timeout
         For that, s of the robot's clock.
-    discovery
-        How far to look for the stack.
-    namespace
-        Of the stack.
     """
-    _check_timeout(timeout)
+    client.wait_until_ready()
+    orientation = client.settings[PLANNER].get("goal_orientation")
+    if (rpy is not None) != (orientation == POSE):
+        remedy = "give the orientation with --rpy" if rpy is None else "give no --rpy, or start it with pose"
+        raise ContactReachError(f"the planner has goal_orientation = {orientation}: {remedy}")
     rotation = None if rpy is None else pin.rpy.rpyToMatrix(*rpy)
-    with connect(discovery, namespace) as client:
-        client.wait_until_ready()
-        orientation = client.settings[PLANNER].get("goal_orientation")
-        if (rpy is not None) != (orientation == POSE):
-            remedy = "give the orientation with --rpy" if rpy is None else "give no --rpy, or start it with pose"
-            raise ContactReachError(f"the planner has goal_orientation = {orientation}: {remedy}")
-        return _go(client, np.array(position, float), rotation, wait, timeout)
+    return _go(client, np.array(position, float), rotation, wait, timeout)
 
 
-def home(wait: bool = False, timeout: float = 30.0, discovery: str = "host", namespace: str = "") -> int:
+def home(client: StackClient, wait: bool = False, timeout: float = 30.0) -> int:
     """Send the flange to where it is in the arm's home posture, as `goto`; the posture itself is the planner's choice.
 
     The orientation is that of the home posture if the planner takes orientations from goals.
     """
     from contact_reach_ros.arm.model import RobotModel
 
-    _check_timeout(timeout)
-    with connect(discovery, namespace) as client:
-        client.wait_until_ready()
-        return _go(client, *RobotModel(client.arm).tip_pose(np.array(client.arm.home)), wait, timeout)
+    client.wait_until_ready()
+    return _go(client, *RobotModel(client.arm).tip_pose(np.array(client.arm.home)), wait, timeout)
 
 
-def speed(scale: float, discovery: str = "host", namespace: str = "") -> int:
+def speed(client: StackClient, scale: float) -> int:
     """Let the planner use this share, 0.01 to 1, of the speed that its bounds permit, from the next plan on."""
-    with connect(discovery, namespace) as client:
-        outcome = client.change(PLANNER, {SPEED_SCALE: scale})
-        return _report(outcome if not outcome.done else Outcome(True, f"{SPEED_SCALE} = {scale:g}"))
+    outcome = client.change(PLANNER, {SPEED_SCALE: scale})
+    return _report(outcome if not outcome.done else Outcome(True, f"{SPEED_SCALE} = {scale:g}"))
 
 
-def stop(discovery: str = "host", namespace: str = "") -> int:
+def stop(client: StackClient) -> int:
     """Stop the arm."""
-    with connect(discovery, namespace) as client:
-        return _report(client.stop())
+    return _report(client.stop())
 
 
-def reset(discovery: str = "host", namespace: str = "", asked_ns: int | None = None) -> int:
+def reset(client: StackClient, asked_ns: int) -> int:
     """Release all stops; while that is refused, as before the arm is at rest, it is tried again for some seconds.
 
     Those that came after the command was given stay, see `StackClient.release_all`.
     """
-    with connect(discovery, namespace) as client:
-        return _report(client.release_all(asked_ns=asked_ns))
+    return _report(client.release_all(asked_ns=asked_ns))
 
 
 def _go(client: StackClient, position: Array, rotation: Array | None, wait: bool, timeout: float) -> int:
@@ -101,11 +90,6 @@ def _go(client: StackClient, position: Array, rotation: Array | None, wait: bool
             print("the arm goes on to the goal; to stop it: contact-reach stop")
             raise
     return _report(outcome)
-
-
-def _check_timeout(timeout: float) -> None:
-    if not 0.0 < timeout < math.inf:
-        raise InputError(f"timeout = {timeout:g} s; expected a positive number")
 
 
 def _report(outcome: Outcome) -> int:

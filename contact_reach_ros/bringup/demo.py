@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from contact_reach_ros.arm import Array
-from contact_reach_ros.bringup.processes import page_address, resolved, stack_arm
+from contact_reach_ros.bringup.processes import resolved, stack_arm
 from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackProcesses
 from contact_reach_ros.errors import BagError, ContactReachError, InputError
@@ -23,11 +23,12 @@ from contact_reach_ros.messages.goal_state import describe
 from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.resources import write_json
 from contact_reach_ros.ros.client import StackClient
-from contact_reach_ros.ros.interfaces import CONTROLLER, DEMO
+from contact_reach_ros.ros.interfaces import CONTROLLER, DEMO, VIEWER
 from contact_reach_ros.ros.process import bare_node
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.settings import setting
 from contact_reach_ros.timing import NANOSECONDS
+from contact_reach_ros.viewer.settings import page_address
 from contact_reach_ros.world.scene_file import read_scene
 
 _say = partial(print, flush=True)
@@ -110,10 +111,11 @@ def _run(options: DemoOptions) -> tuple[int, float]:
 def _drive_to_goal(stack: StackProcesses, client: StackClient, target: Array, view: bool) -> None:
     """Send the goal (3,), m, and watch until it is reached or over, the arm is stopped or the time is up."""
     began = time.monotonic()
-    if view:
-        _say(f"the page will be at {page_address(stack.parameter_file)}")
     stack.bring_up(_say)
     stack.wait_to_start(client)
+    if view:
+        client.wait_for(lambda: [] if VIEWER in client.settings else [f"{topics.SETTINGS.name} of the {VIEWER}"])
+        _say(f"the page is at {page_address(client.settings[VIEWER]['port'])}")
     _say(f"stack active after {time.monotonic() - began:.1f} s; goal {np.round(target, 3).tolist()} m")
     client.send_goal(target, stamp_ns=stack.stamp_ns)
     client.wait_for(lambda: [] if client.goal_state else [topics.GOAL_STATE.name])

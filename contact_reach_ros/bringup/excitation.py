@@ -18,7 +18,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.topics import Qos
-from contact_reach_ros.ros.client import StackClient, connect
+from contact_reach_ros.ros.client import StackClient
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, PLANNER
 from contact_reach_ros.world.collision import COLLISION_TOLERANCE, clearances, nearest
@@ -50,39 +50,38 @@ _STEPS = 20
 """Postures on the way between two goals at which the clearance is checked."""
 
 
-def excite(discovery: str = "host", namespace: str = "") -> tuple[Recording, Mapping[str, Mapping[str, Any]]]:
-    """Move the arm and return its states, and the settings of the nodes.
+def excite(client: StackClient) -> tuple[Recording, Mapping[str, Mapping[str, Any]]]:
+    """Move the arm of a client's stack and return its states, and the settings of the nodes.
 
-    On Ctrl-C the arm is held where it is. Raises `ContactReachError` if no stack answers, the arm may not be moved, has
-    no room, or is stopped on the way.
+    On Ctrl-C the arm is held where it is. Raises `ContactReachError` if the stack does not answer, the arm may not be
+    moved, has no room, or is stopped on the way.
     """
-    with connect(discovery, namespace) as client:
-        client.wait_until_ready()
-        client.wait_for(lambda: [] if OBSERVER in client.settings else ["settings of the observer"])
-        is_franka = client.settings.get(ADAPTER, {}).get("kind") == FRANKA
-        topic = topics.JOINT_STATES._replace(name=FRANKA_STATES) if is_franka else topics.JOINT_STATES
-        reader = JointStateReader(client.arm.joint_names, topic.name)
-        states: list[JointState] = []
-        client.inbox.add(topic, lambda data: states.append(reader.read(data)), _QOS, serialized=True)
-        client.wait_for(lambda: [] if states else [topic.name])
-        if client.settings[PLANNER].get("goal_orientation") != POSE:
-            raise InputError(
-                "the motion turns the wrist: start the stack with --set planner:goal_orientation=pose, or give a bag"
-            )
-        check_clearance(client.arm, states[-1].q, _obstacles(client))
-        states.clear()
-        before = _contacts(client)
-        try:
-            _move(client)
-        except KeyboardInterrupt:
-            if states:
-                client.send_goal(*RobotModel(client.arm).tip_pose(states[-1].q))
-                client.until(lambda: client.goal_state is not None, _HEARD_S)
-            print("interrupted: the arm is held where it is", flush=True)
-            raise
-        if contacts := _contacts(client) - before:
-            print(f"the observer reported contact {contacts} times; what touched the arm spoils the fit", flush=True)
-        return recording_of(states), client.settings
+    client.wait_until_ready()
+    client.wait_for(lambda: [] if OBSERVER in client.settings else ["settings of the observer"])
+    is_franka = client.settings.get(ADAPTER, {}).get("kind") == FRANKA
+    topic = topics.JOINT_STATES._replace(name=FRANKA_STATES) if is_franka else topics.JOINT_STATES
+    reader = JointStateReader(client.arm.joint_names, topic.name)
+    states: list[JointState] = []
+    client.inbox.add(topic, lambda data: states.append(reader.read(data)), _QOS, serialized=True)
+    client.wait_for(lambda: [] if states else [topic.name])
+    if client.settings[PLANNER].get("goal_orientation") != POSE:
+        raise InputError(
+            "the motion turns the wrist: start the stack with --set planner:goal_orientation=pose, or give a bag"
+        )
+    check_clearance(client.arm, states[-1].q, _obstacles(client))
+    states.clear()
+    before = _contacts(client)
+    try:
+        _move(client)
+    except KeyboardInterrupt:
+        if states:
+            client.send_goal(*RobotModel(client.arm).tip_pose(states[-1].q))
+            client.until(lambda: client.goal_state is not None, _HEARD_S)
+        print("interrupted: the arm is held where it is", flush=True)
+        raise
+    if contacts := _contacts(client) - before:
+        print(f"the observer reported contact {contacts} times; what touched the arm spoils the fit", flush=True)
+    return recording_of(states), client.settings
 
 
 def _obstacles(client: StackClient) -> Spheres:

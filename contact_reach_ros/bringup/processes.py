@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.tool import NO_TOOL, Tool
-from contact_reach_ros.arms import TOOL, TOOL_PARAMETERS, arm_in, known_parameters, load_arm, make_settings
+from contact_reach_ros.arms import TOOL, TOOL_PARAMETERS, arm_in, known_parameters
 from contact_reach_ros.bringup.settings import BringupOptions
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.budget import budget_file
 from contact_reach_ros.presets import SECTIONS, check_parameters
-from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, RECORDER, VIEWER
+from contact_reach_ros.ros.interfaces import ADAPTER, CONTROLLER, DRIVER, OBSERVER, PLANNER, RECORDER, VIEWER
 from contact_reach_ros.ros.parameters import namespace_in
 from contact_reach_ros.ros.process import described
 from contact_reach_ros.settings import RATE, ROBOT, check_values, full_name, parameters_in, parse_yaml
 from contact_reach_ros.simulation.settings import DriverSettings
-from contact_reach_ros.viewer.settings import VIEWER_SECTIONS, ViewerSettings
 from contact_reach_ros.world.goal import FREE, HOLD
 from contact_reach_ros.world.scene_file import SceneFile, anywhere, read_scene, scene_file
 from contact_reach_ros.world.spheres import sphere_capacity
@@ -27,8 +26,6 @@ from contact_reach_ros.world.spheres import sphere_capacity
 ParameterValue = bool | int | float | str | list[str] | list[float]
 
 ENCLAVES = "/contact_reach"
-_TUNABLE = ("planner", "controller", "observer", "driver")
-"""Nodes whose parameters `BringupOptions.overrides` may set."""
 
 
 @dataclass(frozen=True)
@@ -61,23 +58,23 @@ class Process:
         return f"{ENCLAVES}/{self.name}"
 
 
-def _overrides(texts: Sequence[str], arm: Arm) -> dict[str, dict[str, ParameterValue]]:
-    """Parameters by node, from texts node:parameter=value, the value as YAML.
+def _overrides(texts: Sequence[str], arm: Arm, started: Collection[str]) -> dict[str, ParameterValue]:
+    """Parameters by node:parameter, from texts node:parameter=value, the value as YAML.
 
-    Raises `SettingsError` if a text has another form, the node is not one of `_TUNABLE`, has no such parameter, or does
-    not accept the value.
+    Raises `SettingsError` if a text has another form, the node is not started, has no such parameter, or does not
+    accept the value.
     """
-    found: dict[str, dict[str, ParameterValue]] = {name: {} for name in _TUNABLE}
+    found: dict[str, ParameterValue] = {}
     for text in texts:
-        node, colon, rest = text.partition(":")
-        name, equals, written = rest.partition("=")
-        if not (colon and equals and name and node in _TUNABLE):
+        target, equals, written = text.partition("=")
+        node, _, name = target.partition(":")
+        if not (equals and name and node in started):
             raise SettingsError(
-                f"override '{text}': expected node:parameter=value with one of {', '.join(_TUNABLE)} as the node"
+                f"override '{text}': expected node:parameter=value with one of {', '.join(started)} as the node; "
+                "others are not started here"
             )
-        value = parse_yaml(written, f"override '{text}'")
+        found[target] = value = parse_yaml(written, f"override '{text}'")
         check_values({name: value}, known_parameters(SECTIONS[node], arm), f"override '{text}'")
-        found[node][name] = value
     return found
 
 
@@ -92,9 +89,6 @@ def processes(options: BringupOptions, namespace: str = "/") -> list[Process]:
     rate: dict[str, ParameterValue] = {RATE.name: options.state_rate} if options.state_rate else {}
     tool = scene_tool(options, scene, namespace)
     time: dict[str, ParameterValue] = {"use_sim_time": options.lockstep, **rate, **arm, **tool}
-    changed = _overrides(options.overrides, stack_arm(options, namespace))
-    # What reads settings of the observer: the controller watches itself with them, and the contact budget is in them.
-    watch = {f"{OBSERVER}:{name}": value for name, value in changed[OBSERVER].items()}
     table = []
     adapted = options.adapter != "none"
     if adapted:
@@ -102,28 +96,25 @@ def processes(options: BringupOptions, namespace: str = "/") -> list[Process]:
         adapting = {**time, "kind": options.adapter, "effort.ask_joints": not options.driver}
         table.append(Process(ADAPTER, adapting, early=True, lasts=True))
     if options.view:
-        table.append(Process(VIEWER, {**time, **watch}, early=True, essential=False))
+        table.append(Process(VIEWER, time, early=True, essential=False))
     if options.bag:
-        recording = {"bag": options.bag, **_origin(options, changed["driver"], namespace), **time}
-        table.append(Process(RECORDER, recording, early=True))
+        table.append(Process(RECORDER, {"bag": options.bag, **time}, early=True))
     if options.driver:
-        table.append(Process("driver", {"scene": options.scene, **time, **changed["driver"]}))
-    elif changed["driver"]:
-        raise SettingsError(f"overrides of the driver, {', '.join(changed['driver'])}: this node is not started here")
-    table.append(Process(OBSERVER, {**time, **changed[OBSERVER]}))
+        table.append(Process(DRIVER, {"scene": options.scene, **time}))
+    table.append(Process(OBSERVER, time))
     behind = {"supervision.adapter": True} if adapted else {}
-    table.append(Process("controller", {**time, **watch, **behind, **changed["controller"]}))
-    # The planner plans for the controller's gains.
-    gains = {f"controller:{name}": value for name, value in changed["controller"].items()}
+    table.append(Process(CONTROLLER, {**time, **behind}))
     # Of what stands around a real robot the simulated scene knows nothing.
     obstacles = _of_scene(scene, options.parameter_file, namespace) if options.driver else {}
     # With a deadline on the wall's clock plans would depend on how busy the machine is.
     unhurried = {"planning.deadline": 0.0} if options.lockstep else {}
-    planning = {**time, **obstacles, **gains, **watch, **unhurried, **changed["planner"]}
-    table.append(Process("planner", planning, early=True))
-    given = {process.name: process.parameters for process in table}
+    table.append(Process(PLANNER, {**time, **obstacles, **unhurried}, early=True))
+    # Every node gets them all: the planner reads the controller's gains, and several the observer's budget.
+    changed = _overrides(options.overrides, stack_arm(options, namespace), [process.name for process in table])
+    origin = {RECORDER: _origin(options, changed, namespace)}
+    given = {each.name: {**each.parameters, **origin.get(each.name, {}), **changed} for each in table}
     check_parameters(options.parameter_file, given, options.robot, namespace)
-    return table
+    return [dataclasses.replace(process, parameters=given[process.name]) for process in table]
 
 
 def resolved(options: BringupOptions, node_name: str, arguments: Sequence[str] = ()) -> BringupOptions:
@@ -143,26 +134,19 @@ def stack_arm(options: BringupOptions, namespace: str = "/") -> Arm:
     return arm_in({**own, ROBOT.name: options.robot} if options.robot else own, str(options.parameter_file))
 
 
-def page_address(parameter_file: Path) -> str:
-    """Address of the page that the viewer of a stack serves.
-
-    Raises `SettingsError` if the file has a parameter of the viewer that is not accepted.
-    """
-    own = parameters_in(parameter_file, VIEWER)
-    settings: ViewerSettings = make_settings(own, VIEWER_SECTIONS, load_arm(), f"{parameter_file}: {VIEWER}")[""]
-    return settings.page_address(settings.port)
-
-
 def _origin(options: BringupOptions, changed: Mapping[str, ParameterValue], space: str) -> dict[str, ParameterValue]:
-    """Facts about the run that its bag keeps; `changed` holds the overrides of the driver."""
+    """Facts about the run that its bag keeps; `changed` holds the overrides."""
     budget = str(parameters_in(options.parameter_file, OBSERVER, space).get("contact_budget", ""))
     files = {
         "parameter_file": options.parameter_file,
         "scene_file": scene_file(options.scene),
         "contact_budget": budget_file(budget),
     }
-    given = {**parameters_in(options.parameter_file, "driver", space), **changed}
-    drawn = {entry.name: given.get(entry.name, entry.default) for entry in DriverSettings.declared()}
+    given = {**parameters_in(options.parameter_file, DRIVER, space), **changed}
+    drawn = {
+        entry.name: given.get(f"{DRIVER}:{entry.name}", given.get(entry.name, entry.default))
+        for entry in DriverSettings.declared()
+    }
     lockstep = "true" if options.lockstep else "false"
     values = {"scene": options.scene, "seed": drawn["seed"], "target": drawn["target"], "lockstep": lockstep}
     return {

@@ -198,11 +198,6 @@ class StackProcesses:
 
         return state_of
 
-    @property
-    def ids(self) -> dict[str, int]:
-        """Ids of the processes that are running, by name."""
-        return {name: process.pid for name, process in self._running.items()}
-
     def wait_to_start(self, client: StackClient) -> None:
         """Wait until goals move the simulated arm, and the recorder, if there is one, hears them.
 

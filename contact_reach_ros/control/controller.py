@@ -11,11 +11,11 @@ import numpy as np
 
 from contact_reach_ros.arm import Arm, Array, JointState, check_fresh
 from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.control.constants import Body, body_of, make_constants
+from contact_reach_ros.control.constants import body_of, make_constants
 from contact_reach_ros.control.follower import Follower
 from contact_reach_ros.control.kernels import Constant, tracking_torque
 from contact_reach_ros.control.passive_stop import PassiveStop
-from contact_reach_ros.control.references import Reference, References
+from contact_reach_ros.control.references import References
 from contact_reach_ros.control.settings import ControllerSettings
 from contact_reach_ros.control.stability import check_gains
 from contact_reach_ros.control.supervisor import OBSERVER, OWN_WATCH, Event, Mode, Supervisor, check_start, check_state
@@ -174,7 +174,7 @@ class Controller:
                 raise InputError(f"{self.not_yet}; nothing is commanded")
             self.start(q, v, stamp_ns)
             self.order.is_new(stamp_ns)
-        torque = self.tick(q, v, stamp_ns, clock_ns)
+        torque = self._tick(q, v, stamp_ns, clock_ns)
         self.state = state
         return torque
 
@@ -238,26 +238,8 @@ class Controller:
         self.supervisor.happens(Event.START)
         self.started = True
 
-    def tick(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array | None:
-        """Compute the torque to send for one joint state, (n,), N m; None when nothing may be sent any more.
-
-        Parameters
-        ----------
-        q, v
-            Joint positions (n,) rad and velocities (n,) rad/s.
-        now_ns
-            Stamp of the joint state.
-        clock_ns
-            Time of the watchdogs' clock.
-
-        Raises
-        ------
-        InputError
-            If the state is not finite, or so far from any real one that the torque is not; nothing may be sent for it.
-            Also before `start`.
-        """
-        if not self.started:
-            raise InputError("the controller was not started: call start with the first joint state")
+    def _tick(self, q: Array, v: Array, now_ns: int, clock_ns: int) -> Array | None:
+        """The torque to send for one joint state of stamp `now_ns`, (n,), N m, as `update`."""
         check_state(self.arm, q, v)
         self.model.update(q, v)
         self.supervisor.watch_observer(clock_ns)
@@ -368,42 +350,22 @@ class Controller:
         supervisor.watch_hold(follower.held_for(now_ns), follower.had_plan)
         since_start = (now_ns - self._started_ns) / NANOSECONDS
         authority = min(since_start / START_RAMP, 1.0)
-        return torque_towards(
-            reference, model, self._body, self._constants, q, v, authority, self._sent, period, self._found
+        return tracking_torque(
+            self._constants,
+            model.mass_matrix,
+            model.bias,
+            model.gravity,
+            model.position,
+            model.rotation,
+            model.jacobian,
+            model.twist,
+            model.drift,
+            *reference,
+            *self._body,
+            q,
+            v,
+            authority,
+            self._sent,
+            period,
+            self._found,
         )
-
-
-def torque_towards(
-    reference: Reference,
-    model: RobotModel,
-    body: Body,
-    constants: Array,
-    q: Array,
-    v: Array,
-    authority: float,
-    previous: Array,
-    period: float,
-    found: Array,
-) -> Array:
-    """`kernels.tracking_torque` towards a reference, for a model that was updated to the state."""
-    return tracking_torque(
-        constants,
-        model.mass_matrix,
-        model.bias,
-        model.gravity,
-        model.position,
-        model.rotation,
-        model.jacobian,
-        model.twist,
-        model.drift,
-        reference.position,
-        reference.rotation,
-        reference.posture,
-        *body,
-        q,
-        v,
-        authority,
-        previous,
-        period,
-        found,
-    )

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from contact_reach_ros.arm import Array
-from contact_reach_ros.arm.kinematics import AXIS, POSITION
 from contact_reach_ros.arm.model import RobotModel
+from contact_reach_ros.control.kernels import pose_error
 from contact_reach_ros.control.references import Reference, ReferenceQueue, Way
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 from contact_reach_ros.timing import NANOSECONDS
@@ -33,7 +33,7 @@ class Follower:
         self.queue = ReferenceQueue(n)
         self.reference: Reference | None = None
         self.had_plan = False
-        self._task = impedance.task
+        self._rows = impedance.rows
         self._limits = limits
         self._ramp_ns = round(impedance.reference_ramp * NANOSECONDS)
         self._period_ns = round(period * NANOSECONDS)
@@ -118,12 +118,10 @@ class Follower:
             beyond = _beyond(reference.position, limits)
             if beyond:
                 return beyond
-            distance = math.dist(reference.position.tolist(), model.position.tolist())
-            angle = _turn(reference.rotation, model.rotation, self._task)
-        else:
-            # Of the last tick: it has been computed anyway.
-            x, y, z, *turn = error.tolist()
-            distance, angle = math.hypot(x, y, z), math.hypot(*turn)
+            # Otherwise that of the last tick: it has been computed anyway.
+            error = pose_error(model.position, model.rotation, reference.position, reference.rotation, self._rows)
+        x, y, z, *turn = error.tolist()
+        distance, angle = math.hypot(x, y, z), math.hypot(*turn)
         if not distance <= limits.max_position_error:
             return (
                 f"x_d is {distance:.3f} m from the tip, permitted {limits.max_position_error:g} m (max_position_error)"
@@ -149,14 +147,3 @@ def _beyond(position: Array, limits: SupervisionSettings) -> str:
                 "workspace_maximum)"
             )
     return ""
-
-
-def _turn(reference: Array, rotation: Array, task: str) -> float:
-    """Angle between two orientations (3, 3), as far as law (1) controls it, rad."""
-    if task == POSITION:
-        return 0.0
-    if task == AXIS:
-        cosine = float(reference[:, 2] @ rotation[:, 2])
-    else:
-        cosine = 0.5 * (float((reference * rotation).sum()) - 1.0)
-    return math.acos(min(max(cosine, -1.0), 1.0))

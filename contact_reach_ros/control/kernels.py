@@ -19,7 +19,7 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba import float64
+from numba import float64, int64
 
 from contact_reach_ros.arm import Array
 
@@ -212,7 +212,7 @@ def axis_turn(rotation: Array, reference_rotation: Array) -> Array:
     return turn
 
 
-@_compiled()
+@_compiled(_RESULT, _VECTOR, _MATRIX, _VECTOR, _MATRIX, int64)
 def pose_error(
     position: Array, rotation: Array, reference_position: Array, reference_rotation: Array, task_rows: int
 ) -> Array:

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.kinematics import TASK_ROWS
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.settings import ArmDefaults, Sections, Settings, setting
+from contact_reach_ros.settings import Sections, Settings, setting
 
 AUTO = "auto"
 """Task: the one with most rows that the arm can hold."""
@@ -50,7 +51,7 @@ class ImpedanceSettings(Settings):
         """Number m of rows that law (1) controls, of settings that are resolved for an arm."""
         return TASK_ROWS[self.task]
 
-    def resolve(self, arm: ArmDefaults) -> Self:
+    def resolve(self, arm: Arm) -> Self:
         """These settings with the task that the arm can hold in place of `auto`.
 
         Raises `SettingsError` if it cannot hold that of the settings.
@@ -177,7 +178,7 @@ class ControllerSettings:
         """The settings out of those of a node, by parameter prefix as in `CONTROLLER_SECTIONS`."""
         return cls(*(sections[prefix] for prefix in CONTROLLER_SECTIONS))
 
-    def resolve(self, arm: ArmDefaults) -> ControllerSettings:
+    def resolve(self, arm: Arm) -> ControllerSettings:
         """These settings for an arm, as `ImpedanceSettings.resolve`."""
         return dataclasses.replace(self, impedance=self.impedance.resolve(arm))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import yaml
 from rich.console import Console
 from rich.table import Table
 
@@ -13,7 +14,7 @@ from contact_reach_ros.arm.capsule_fit import POOR
 from contact_reach_ros.arm.capsules import pair_distances, self_pairs, shape_name, shapes
 from contact_reach_ros.arm.kinematics import TASK_ROWS
 from contact_reach_ros.arm.mount import in_words
-from contact_reach_ros.arm.table import table_text
+from contact_reach_ros.arm.table import table_of
 from contact_reach_ros.arm.urdf_reader import Reading, read_arm_file
 from contact_reach_ros.arms import ENDINGS, load_arm
 from contact_reach_ros.resources import write_text
@@ -69,7 +70,7 @@ def check_arm(name: str, table: Path | None = None) -> None:
     for line in doubts:
         console.print(f"doubtful: {line}", style="yellow")
     if table is not None:
-        write_text(table, table_text(arm))
+        write_text(table, yaml.dump(table_of(arm), sort_keys=False, default_flow_style=None, width=100))
         console.print(f"table: {table}")
 
 

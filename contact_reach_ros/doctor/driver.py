@@ -39,7 +39,7 @@ def listen(
     chosen: Any = make_settings(own, ADAPTER_SECTIONS, arm, str(file))[kind]
     target: LbrTarget | EffortTarget
     heard: list[tuple[Any, int]] = []
-    with bare_node(DOCTOR, options.discovery, [DOCTOR, *in_namespace(namespace)]) as node:
+    with bare_node(DOCTOR, [DOCTOR, *in_namespace(namespace)]) as node:
         client = Client(node)
 
         def take(state: Any) -> None:
@@ -89,9 +89,8 @@ def _driver(target: LbrTarget | EffortTarget) -> Finding:
         )
     if isinstance(target, EffortTarget):
         return graded(f"takes the joints in the order {', '.join(target.order)}", "")
-    found, doubt = f"lbr_fri_ros2_stack {target.diagnosis()['driver']}", target.states.doubt
     later = "KUKA's stiffness, which must be 0, is measured before the first command"
-    return graded(f"{found}; {later}{doubt and '; ' + doubt}", doubt, warn=bool(doubt))
+    return graded(f"lbr_fri_ros2_stack {target.diagnosis()['driver']}; {later}", "")
 
 
 def _fits(target: LbrTarget | EffortTarget) -> bool:

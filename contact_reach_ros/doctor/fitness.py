@@ -8,14 +8,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-import psutil
-from diagnostic_msgs.msg import DiagnosticStatus
 
 from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.model import RobotModel
@@ -23,8 +19,6 @@ from contact_reach_ros.arms import load_arm
 from contact_reach_ros.bringup.processes import BringupOptions
 from contact_reach_ros.bringup.stack_processes import StackError, StackProcesses
 from contact_reach_ros.errors import SettingsError
-from contact_reach_ros.messages import topics
-from contact_reach_ros.messages.values import numbers
 from contact_reach_ros.planning.goal_progress import GoalPhase
 from contact_reach_ros.resources import write_json
 from contact_reach_ros.ros.client import StackClient
@@ -92,36 +86,12 @@ def _measure(
     stack.wait_to_start(client)
     up = f"stack active after {time.monotonic() - began:.1f} s; {seconds:g} s beside {load} programs"
     print(up, file=sys.stderr, flush=True)
-    plans: list[DiagnosticStatus] = []
-    client.inbox.add(topics.PLAN_STATISTICS, lambda message: plans.extend(message.status))
-    processes = {name: psutil.Process(number) for name, number in stack.ids.items()}
     with _hogs(load):
         _drive(stack, client, goals, _SETTLE_S)
-        plans.clear()
         first = {name: client.diagnostics[name] for name in (DRIVER, CONTROLLER)}
-        before, since = {name: _cpu_time(each) for name, each in processes.items()}, time.monotonic()
         reached = _drive(stack, client, goals, seconds)
         last = {name: client.diagnostics[name] for name in (DRIVER, CONTROLLER)}
-        elapsed = time.monotonic() - since
-        nodes = {
-            name: {
-                "cores": (_cpu_time(each) - before[name]) / elapsed,
-                "memory_mb": each.memory_full_info().pss / 1e6,
-            }
-            for name, each in processes.items()
-        }
-    return {**timing_between(first, last), "goals_reached": reached, "plans": solver_work(plans), "nodes": nodes}
-
-
-def _cpu_time(process: psutil.Process) -> float:
-    times = process.cpu_times()
-    return float(times.user + times.system)
-
-
-def solver_work(plans: Sequence[DiagnosticStatus]) -> dict[str, float]:
-    """Steps of the solver in a plan, in the median, and the share of plans that the deadline ended."""
-    steps, ended = [dict(numbers(plan))["steps"] for plan in plans], [plan.message == "deadline" for plan in plans]
-    return {"steps_p50": float(np.median(steps or [0])), "deadline_fraction": float(np.mean(ended or [0]))}
+    return {**timing_between(first, last), "goals_reached": reached}
 
 
 def _drive(stack: StackProcesses, client: StackClient, goals: Iterator[Array], seconds: float) -> int:
@@ -175,20 +145,12 @@ def print_report(report: Mapping[str, Any]) -> None:
     def us(key: str) -> str:
         return "p50 {p50:.0f}, p99 {p99:.0f}, p99.9 {p999:.0f} us".format(**report[key])
 
-    plans, nodes = report["plans"], report["nodes"]
     rows = [
         ("ticks", f"{report['ticks']}, missed {100 * report['missed_fraction']:.3f} %"),
         ("round trip", us("round_trip_us")),
         ("woken up late", us("wakeup_late_us")),
         ("controller", us("compute_us")),
         ("goals reached", f"{report['goals_reached']}"),
-        (
-            "solver",
-            "{steps_p50:.0f} steps a plan, {deadline_fraction:.0%} ended by the deadline".format(**plans),
-        ),
     ]
-    total = {key: sum(node[key] for node in nodes.values()) for key in ("cores", "memory_mb")}
-    for name, node in {**{f"process {name}": node for name, node in nodes.items()}, "all of them": total}.items():
-        rows.append((name, "{cores:.2f} cores, {memory_mb:.0f} MB".format(**node)))
     for label, text in rows:
         print(f"  {label:20}{text}")

@@ -66,7 +66,7 @@ def examine(options: BringupOptions, namespace: str = "/") -> Report:
     os.environ.update(environment(options.discovery))
     report["software"]["discovery"] = stack.discovery_in_use()
     try:
-        graph, heard = stack.look_around(options.discovery, _LISTEN_S, namespace)
+        graph, heard = stack.look_around(_LISTEN_S, namespace)
     except ContactReachError as error:
         fix = "see whether the middleware works: RMW_IMPLEMENTATION, ROS_DOMAIN_ID, the Fast DDS profile file"
         report["stack"] = {"nodes": failed(str(error), fix)}

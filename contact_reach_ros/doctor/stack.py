@@ -119,21 +119,19 @@ class Graph:
         )
 
 
-def look_around(discovery: str, seconds: float, namespace: str = "/") -> tuple[Graph, Heard]:
+def look_around(seconds: float, namespace: str = "/") -> tuple[Graph, Heard]:
     """Look at the stack with a node of its own; returns its graph and the joint states that came.
 
     Raises `ContactReachError` if ROS does not start a node.
 
     Parameters
     ----------
-    discovery
-        How far to look, one of `discovery.CHOICES`.
     seconds
         How long to listen, if anything is there.
     namespace
         Of the stack.
     """
-    with bare_node(DOCTOR, discovery, [DOCTOR, *in_namespace(namespace)]) as node:
+    with bare_node(DOCTOR, [DOCTOR, *in_namespace(namespace)]) as node:
         client = Client(node)
         time.sleep(SETTLED_S)
         names, states = _nodes(node), {}

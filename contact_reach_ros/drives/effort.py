@@ -76,7 +76,7 @@ class EffortTarget:
     order
         Names of the joints in the order of the commands; empty while it is not known.
     idle
-        Why torques do not reach the arm, as the controller manager has answered `ask_idle`; empty if they do.
+        Why torques do not reach the arm, as the controller manager has answered `look`; empty if they do.
     """
 
     SECTION = EFFORT
@@ -127,7 +127,8 @@ class EffortTarget:
 
         To be called a few times a second.
         """
-        self.ask_idle()
+        if self._list is not None:
+            self._list.send(ListControllers.Request())
         if self._question is not None:
             self._found = self._find_elsewhere() if self._order_problem else ""
             self._question.send(GetParameters.Request(names=["joints"]))
@@ -135,11 +136,6 @@ class EffortTarget:
     def prepare(self) -> bool:
         """Nothing has to be prepared with harmless torques before the first command."""
         return False
-
-    def ask_idle(self) -> None:
-        """Ask whether torques still reach the arm; to be called a few times a second."""
-        if self._list is not None:
-            self._list.send(ListControllers.Request())
 
     def hear(self, node: str, settings: Mapping[str, Any]) -> str:
         """Why a node's settings do not fit the drive; empty if they do."""

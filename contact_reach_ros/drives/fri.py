@@ -21,9 +21,6 @@ QUALITY = ("POOR", "FAIR", "GOOD", "EXCELLENT")
 _GOOD = QUALITY.index("GOOD")
 COMMAND_MODE = ("NO_COMMAND_MODE", "POSITION", "WRENCH", "TORQUE")
 """What FRI takes from its client."""
-CONTROL_MODE = ("POSITION_CONTROL", "CARTESIAN_IMPEDANCE_CONTROL", "JOINT_IMPEDANCE_CONTROL", "NO_CONTROL")
-"""Of KUKA's controller, as LBRServer starts it."""
-_JOINT_IMPEDANCE = CONTROL_MODE.index("JOINT_IMPEDANCE_CONTROL")
 PLUGIN = "lbr_ros2_control::SystemInterface"
 """Hardware component of the driver, in its `robot_description`."""
 CONFIG = "lbr_system_config.yaml"
@@ -221,8 +218,6 @@ class FriStates:
     ----------
     idle
         Why torques do not reach the arm, and KUKA's controller brakes it; empty if they do.
-    doubt
-        What is not as our page has it, although torques may be taken; empty if there is nothing.
     driver
         Settings of the driver; None before `describe`.
     """
@@ -233,7 +228,6 @@ class FriStates:
         self.idle = self._not_ready = (
             f"no state on {settings.driver}/state yet: start lbr_bringup, and LBRServer on the smartPAD"
         )
-        self.doubt = ""
         self._undescribed = f"no {settings.driver}/robot_description yet, which tells the driver's settings"
         self._check: StiffnessCheck | None = None
         self._arm, self._settings, self._period, self._is_simulated = arm, settings, period, is_simulated
@@ -379,13 +373,8 @@ class FriStates:
         self.idle = "" if session == len(SESSION) - 1 else f"the FRI session is {_name(SESSION, session)}"
         if self.idle:
             # LBRServer may come back with another stiffness.
-            self._check, self.doubt = None, ""
+            self._check = None
             return f"{self.idle}; expected {SESSION[-1]}: start LBRServer"
-        if message.control_mode != _JOINT_IMPEDANCE:
-            self.doubt = (
-                f"KUKA's control mode is {_name(CONTROL_MODE, message.control_mode)}; expected "
-                f"{CONTROL_MODE[_JOINT_IMPEDANCE]}: choose it on the smartPAD when LBRServer starts"
-            )
         if quality < _GOOD:
             return f"the FRI connection is {_name(QUALITY, quality)}; expected at least GOOD"
         if mode != COMMAND_MODE.index("TORQUE"):

@@ -27,6 +27,8 @@ try:
 except ImportError:
     SetHardwareComponentState = None
 
+_STATE, _COMMAND, _TEXT = "lbr_fri_idl/msg/LBRState", "lbr_fri_idl/msg/LBRTorqueCommand", "std_msgs/msg/String"
+"""Types of the driver's topics."""
 _OBSERVER, _CUTOFF = "observer", "momentum.torque_cutoff"
 _CONTROLLER, _DELAY = "controller", "limits.torque_delay"
 _LONGEST_PERIOD_S = 0.002
@@ -69,15 +71,14 @@ class LbrTarget:
             )
         if arm.n != len(LBRState().measured_torque):
             raise SettingsError(f"kind = lbr: {arm.name} has {arm.n} joints; expected an arm with seven")
-        self.topic = Topic(f"{settings.driver}/command/torque", LBRTorqueCommand, topics.COMMANDS.qos, "commands")
+        self.topic = Topic(f"{settings.driver}/command/torque", _COMMAND, topics.COMMANDS.qos, "commands")
         self.order = arm.joint_names
         self.states = FriStates(arm, settings, period, bool(node.get_parameter("use_sim_time").value))
-        self._source = Topic(f"{settings.driver}/state", LBRState, NEWEST, "FRI states")
-        self._description = Topic(f"{settings.driver}/robot_description", String, LATCHED, "robot descriptions")
+        self._source = Topic(f"{settings.driver}/state", _STATE, NEWEST, "FRI states")
+        self._description = Topic(f"{settings.driver}/robot_description", _TEXT, LATCHED, "robot descriptions")
         self._node, self._settings = node, settings
         self._found = ""
         """Where a driver is, if not where it is looked for."""
-        self._doubt = ""
         self._command = LBRTorqueCommand()
         self._deactivated = ""
         self._switch = None
@@ -119,20 +120,13 @@ class LbrTarget:
         inbox.add(self._description, on_description, largest=_LARGEST_DESCRIPTION)
 
     def look(self) -> None:
-        """Look for a driver elsewhere, while there is no state, and log doubts; to be called a few times a second."""
+        """Look for a driver elsewhere, while there is no state; to be called a few times a second."""
         if self.states.idle and not self.states.has_states:
             self._found = self._find_elsewhere()
-        if self.states.doubt != self._doubt:
-            self._doubt = self.states.doubt
-            if self._doubt:
-                self._node.get_logger().warning(self._doubt)
 
     def prepare(self) -> bool:
         """Measure KUKA's stiffness, now that commands come; returns whether that needs harmless torques."""
         return self.states.expect_commands()
-
-    def ask_idle(self) -> None:
-        """Do nothing: the driver's states tell it."""
 
     def hear(self, node: str, settings: Mapping[str, Any]) -> str:
         """Why a node's settings do not fit the drive; empty if they do."""
@@ -167,9 +161,9 @@ class LbrTarget:
         self.states.reset()
 
     def diagnosis(self) -> dict[str, Any]:
-        """The driver's generation, and what is doubtful."""
+        """The driver's generation."""
         driver = self.states.driver
-        return {"driver": "unknown" if driver is None else driver.generation, "doubt": self.states.doubt or "none"}
+        return {"driver": "unknown" if driver is None else driver.generation}
 
     def _find_elsewhere(self) -> str:
         """Where else states of a driver are published, in words; or that those here are of another type."""

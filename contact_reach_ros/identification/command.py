@@ -1,9 +1,9 @@
-"""`contact-reach identify`: from a motion of the running stack, or from bags, to a parameter file."""
+"""`contact-reach identify`: from a motion of the running stack, or from a bag, to a parameter file."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,8 @@ import yaml
 from contact_reach_ros.arm import Arm
 from contact_reach_ros.arms import EVERY_SECTION, TOOL, TOOL_PARAMETERS, arm_in, make_settings
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.signals import arm_of_bag, read_signals
-from contact_reach_ros.errors import InputError, SettingsError
+from contact_reach_ros.bags.signals import read_signals, recorded_arm, settings_of_bag
+from contact_reach_ros.errors import InputError
 from contact_reach_ros.identification.fit import CONFIDENCE
 from contact_reach_ros.identification.identify import Identification, identify
 from contact_reach_ros.identification.recording import Recording, make_recording
@@ -22,7 +22,7 @@ from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.settings import ObserverSettings
 from contact_reach_ros.reexecution.inputs import BUDGET, recorded_sections
 from contact_reach_ros.resources import config_file, write_text
-from contact_reach_ros.settings import DEFAULT_PARAMETERS, ROBOT, read_yaml
+from contact_reach_ros.settings import DEFAULT_PARAMETERS, parameters_in, read_yaml
 from contact_reach_ros.timing import NANOSECONDS
 
 OUTPUT = Path("identified.yaml")
@@ -46,7 +46,7 @@ RecordedMotion = tuple[Recording, Mapping[str, Mapping[str, Any]]]
 
 def run_identification(
     excite: Callable[[], RecordedMotion],
-    bags: Sequence[Path] = (),
+    bag: Path | None = None,
     links: bool = False,
     output: Path = OUTPUT,
     parameters: Path | None = None,
@@ -58,9 +58,9 @@ def run_identification(
     Parameters
     ----------
     excite
-        Moves the arm of the running stack; called if there are no bags.
-    bags
-        Recordings of free motion with the tool.
+        Moves the arm of the running stack; called if there is no bag.
+    bag
+        Recording of free motion with the tool.
     links
         Fit the weights of the links, with the tool as the nodes have it; without this the tool, with the links as they
         have them.
@@ -69,15 +69,8 @@ def run_identification(
     parameters
         Parameter file whose other values the new one keeps; the package's own when None.
     """
-    if bags:
-        read = [_read(bag) for bag in bags]
-        first, *others = (_of_arm(own.get(_OBSERVER, {})) for _, own in read)
-        if any(other != first for other in others):
-            raise InputError(f"{', '.join(map(str, bags))}: expected recordings of one arm with one tool")
-        recordings, settings, source = [each for each, _ in read], read[0][1], ", ".join(map(str, bags))
-    else:
-        recording, settings = excite()
-        recordings, source = [recording], "a motion of the running stack"
+    recording, settings = _read(bag) if bag else excite()
+    source = str(bag) if bag else "a motion of the running stack"
     own = settings.get(_OBSERVER)
     if own is None:
         raise InputError(f"{source}: has no settings of the observer: record topic 'settings', too")
@@ -86,8 +79,8 @@ def run_identification(
     of_tool = {name: value for name, value in own.items() if name in TOOL_PARAMETERS}
     tool = make_settings(of_tool, EVERY_SECTION, arm, source)[TOOL]
     budget = sections[BUDGET].resolve(arm)
-    print(f"fitting {', '.join(f'{len(each.stamps_ns) * each.period:.0f} s' for each in recordings)}", flush=True)
-    found = identify(arm, tool, ObserverSettings.from_sections(sections), budget, recordings, links)
+    print(f"fitting {len(recording.stamps_ns) * recording.period:.0f} s", flush=True)
+    found = identify(arm, tool, ObserverSettings.from_sections(sections), budget, recording, links)
     print(describe(found, arm, budget))
     base = parameters or config_file(DEFAULT_PARAMETERS)
     file, budget_file = write(found, base, output, source)
@@ -95,26 +88,21 @@ def run_identification(
     return 0
 
 
-def _of_arm(own: Mapping[str, Any]) -> dict[str, Any]:
-    """What settings say of arm and tool."""
-    return {name: value for name, value in own.items() if name in (ROBOT.name, *TOOL_PARAMETERS)}
-
-
 def _read(bag: Path) -> RecordedMotion:
     """The joint states of a bag, and the settings of its nodes."""
     reader = BagReader(bag, of_stack=True)
-    signals = read_signals(reader, arm_of_bag(reader))
+    settings = settings_of_bag(reader)
+    signals = read_signals(reader, recorded_arm(settings))
     contacts = sum(event.name == _OBSERVER and event.level > 0 for event in signals.safety)
     if contacts:
         print(f"{bag}: the observer reported contact {contacts} times; what touched the arm spoils the fit", flush=True)
-    stamps = signals.origin_ns + np.rint(signals.position.time * NANOSECONDS).astype(np.int64)
+    stamps = signals.clock.origin_ns + np.rint(signals.position.time * NANOSECONDS).astype(np.int64)
     values = (signals.position.values, signals.velocity.values, signals.effort.values)
-    return make_recording(stamps, *values, name=f"bag '{bag}'"), signals.settings
+    return make_recording(stamps, *values, name=f"bag '{bag}'"), settings
 
 
 def describe(found: Identification, arm: Arm, budget: ContactBudget) -> str:
     """Values with their intervals, what the residual falls to, and the proposed thresholds beside those of `budget`."""
-    budget = budget.resolve(arm)
     lines = [f"values with {100 * CONFIDENCE:.0f} % confidence intervals; ? where the motion does not tell"]
     if found.tool is not None:
         values, widths, _ = found.fit.of("tool")
@@ -172,10 +160,8 @@ def write(found: Identification, base: Path, file: Path, source: str) -> tuple[P
     """
     file = file.resolve()
     budget_file = file.with_name(f"{file.stem}{_BUDGET_SUFFIX}{file.suffix or '.yaml'}")
+    parameters_in(base, _OBSERVER)
     content = read_yaml(base)
-    for pattern, section in content.items():
-        if not isinstance(section, dict) or "ros__parameters" not in section:
-            raise SettingsError(f"{base}: '{pattern}' has no ros__parameters; expected a parameter file")
     momentum = {name: getattr(found.momentum, name) for name in _FOUND}
     values: dict[str, dict[str, Any]] = {
         "observer": {"momentum": momentum, "contact_budget": str(budget_file)},

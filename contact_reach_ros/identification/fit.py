@@ -190,23 +190,18 @@ class Fit:
         return self.values[slots], self.half_widths[slots], self.known[slots]
 
 
-def fit(parameters: Parameters, motions: Sequence[Samples]) -> Fit:
-    """Fit the parameters to motions; rows of joints that hardly move are left out: what friction does there is unknown.
+def fit(parameters: Parameters, motion: Samples) -> Fit:
+    """Fit the parameters to a motion, without the rows of joints that hardly move: what friction does there is unknown.
 
     Raises `InputError` if no joint moves, or nothing is identifiable.
     """
-    regressors = [parameters.regressor(motion) for motion in motions]
-    moves = np.concatenate([motion.moves for motion in motions])
-    blocks = _blocks(motions)
+    regressor, moves, blocks = parameters.regressor(motion), motion.moves, _blocks(motion)
     if not moves.any():
         raise InputError("no joint moves fast enough for its friction: expected a motion of all joints")
     count, n = moves.shape
     values, noise = np.zeros(len(parameters.names)), np.ones(n)
     for _ in range(_ROUNDS):
-        pairs = [
-            parameters.rows(motion, *regressor, values) for motion, regressor in zip(motions, regressors, strict=True)
-        ]
-        errors, columns = (np.concatenate(each) for each in zip(*pairs, strict=True))
+        errors, columns = parameters.rows(motion, *regressor, values)
         errors, columns = errors * moves, columns * moves[:, :, None]
         scaled = columns * parameters.scales
         basis, unknown = _split(scaled.reshape(count * n, -1), count)
@@ -235,14 +230,12 @@ def fit(parameters: Parameters, motions: Sequence[Samples]) -> Fit:
     )
 
 
-def _blocks(motions: Sequence[Samples]) -> np.ndarray:
+def _blocks(motion: Samples) -> np.ndarray:
     """Number (N,) of the block of each sample."""
     found, start = [], 0
-    for motion in motions:
-        for piece in np.unique(motion.piece):
-            length = int((motion.piece == piece).sum())
-            found.append(start + np.arange(length) // _BLOCK_S)
-            start = int(found[-1][-1]) + 1
+    for length in np.unique(motion.piece, return_counts=True)[1].tolist():
+        found.append(start + np.arange(length) // _BLOCK_S)
+        start = int(found[-1][-1]) + 1
     return np.concatenate(found)
 
 

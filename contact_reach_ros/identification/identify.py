@@ -1,4 +1,4 @@
-"""Identification of an arm from recordings of its free motion."""
+"""Identification of an arm from a recording of its free motion."""
 
 from __future__ import annotations
 
@@ -89,12 +89,12 @@ def identify(
     tool: Tool,
     settings: ObserverSettings,
     budget: ContactBudget,
-    recordings: Sequence[Recording],
+    recording: Recording,
     links: bool = False,
 ) -> Identification:
-    """Fit the model to free motions, and see what the observer makes of them with it.
+    """Fit the model to a free motion, and see what the observer makes of it with it.
 
-    Raises `InputError` if the recordings do not permit it.
+    Raises `InputError` if the recording does not permit it.
 
     Parameters
     ----------
@@ -104,25 +104,24 @@ def identify(
         That the nodes had.
     settings, budget
         Of the observer, as they were.
-    recordings
+    recording
         With the tool.
     links
         Fit the weights of the links, with the tool as the nodes had it; else the tool, with the links as they had them.
     """
-    momentum = settings.momentum.resolve(arm)
-    motions = [make_samples(each, momentum) for each in recordings]
+    momentum, budget = settings.momentum.resolve(arm), budget.resolve(arm)
     had = arm.with_tool(tool)
     known = had if links else arm.with_center_shifts(*_shifts(momentum, arm, tool.mass, 0.0))
     parameters = Parameters(known, None if links else tool, momentum.gravity_in_torque, momentum.rotors_in_torque)
-    found = fit(parameters, motions)
+    found = fit(parameters, make_samples(recording, momentum))
     new_tool, half_widths = (None, np.full(3, np.nan)) if links else _tool(found, arm, tool)
     new = dataclasses.replace(momentum, **_values(found))
     if new_tool is not None:
         x, y = _shifts(momentum, arm, tool.mass, new_tool.mass)
         new = dataclasses.replace(new, center_shift_x=x, center_shift_y=y)
     has = had if new_tool is None else arm.with_tool(new_tool)
-    before = watch(had, settings, budget, recordings[0])
-    after = watch(has, dataclasses.replace(settings, momentum=new), budget, recordings[0])
+    before = watch(had, settings, budget, recording)
+    after = watch(has, dataclasses.replace(settings, momentum=new), budget, recording)
     permitted = propose(arm, budget, after, new.coulomb_friction)
     return Identification(found, new_tool, half_widths, new, permitted, before, after)
 
@@ -183,7 +182,7 @@ def watch(arm: Arm, settings: ObserverSettings, budget: ContactBudget, recording
 
     Raises `InputError` if the acting torque is never known for as long as a hand-over takes.
     """
-    budget, period = budget.resolve(arm), recording.period
+    period = recording.period
     observer = Observer(arm, settings, budget, period, locates=False)
     residuals, sudden, speeds = [], [], []
     for state in map(JointState, recording.stamps_ns.tolist(), recording.q, recording.v, recording.torque):
@@ -210,7 +209,6 @@ def propose(arm: Arm, budget: ContactBudget, seen: Watched, dry_friction: Sequen
     it. Those that stop the arm are lowered by as much: what they permit beyond that is the permitted force. At rest
     `dry_friction` (n,), N m, may carry any part of a weight: so much always counts as an error of the model.
     """
-    budget = budget.resolve(arm)
     share = np.minimum(MARGIN * seen.used, 1.0)
     contact = _lowered(budget.contact_thresholds, share * budget.contact_thresholds, _LEAST_CONTACT)
     handed_over = _lowered(budget.handover_thresholds, np.maximum(MARGIN * seen.mean, dry_friction) + contact)

@@ -68,20 +68,8 @@ class Cursor:
 
     def text(self) -> str:
         """A text."""
-        return self.texts(1)[0].decode()
-
-    def texts(self, count: int) -> list[bytes]:
-        """So many texts, undecoded."""
-        data, at, found = self.data, self.at, []
-        for _ in range(count):
-            # As `aligned`, whose call would take as long as the rest.
-            start = (at + 3 & -4) + COUNT.size
-            at = start + COUNT.unpack_from(data, start - COUNT.size)[0]
-            found.append(bytes(data[start : at - 1]))
-        if at > len(data):
-            raise ValueError("cut off")
-        self.at = at
-        return found
+        start, end = self.skip(1)
+        return bytes(self.data[start : end - 1]).decode()
 
     def skip(self, size: int, alignment: int = 1) -> tuple[int, int]:
         """A list, or a text, of elements of `size` bytes: the places where they begin and end."""

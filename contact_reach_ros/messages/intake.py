@@ -13,6 +13,10 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from contact_reach_ros.messages.cdr import ARRAY_START, COUNT, NO_LAYOUT, PLAIN_CDR
 
@@ -48,6 +52,14 @@ TOPICS = {
 """Relative names of the topics."""
 
 CODES = {name: code for code, name in TOPICS.items()}
+
+
+def read_batch(message: Any) -> tuple[int, NDArray[np.int64]]:
+    """The number of the first row in a batch, and its rows (n, 4); no rows if the message is no batch."""
+    numbers = np.asarray(message.data)
+    if len(numbers) % len(COLUMNS) != 1:
+        return 0, np.zeros((0, len(COLUMNS)), np.int64)
+    return int(numbers[0]), numbers[1:].reshape(-1, len(COLUMNS))
 
 
 class IntakeLog:

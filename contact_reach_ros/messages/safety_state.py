@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,34 @@ _KNOWN, _UNKNOWN = "known", "unknown"
 
 _LINK, _FORCE, _POSITION = "contact link", "contact force xyz N", "contact position xyz m"
 _SUDDEN, _EXCESS = "sudden torque Nm", "contact above permitted force"
+
+
+class SafetyState(NamedTuple):
+    """Safety state of one node, as it published it."""
+
+    time: float
+    """When it was received, s."""
+    level: int
+    """Of the DiagnosticStatus: OK, WARN for a contact, from ERROR on a stop."""
+    name: str
+    """Of the node."""
+    message: str
+    contact: Contact | None = None
+    """The one that the observer has located, if any."""
+
+    @property
+    def is_stop(self) -> bool:
+        """Whether it reports a stop."""
+        return self.level >= ERROR
+
+
+def read_state(message: Any, arm: Arm, time: float = 0.0) -> SafetyState:
+    """The state in a message that was received at a time, s; leaves out a malformed contact."""
+    try:
+        contact = read_contact(message, arm)
+    except InputError:
+        contact = None
+    return SafetyState(time, read_level(message), message.name, message.message, contact)
 
 
 def findings(report: SafetyReport) -> dict[str, str]:

@@ -1,17 +1,10 @@
-"""Every topic of the stack: name, message type and quality of service, in one place."""
+"""Every topic of the stack: name, message type and quality of service, in one place. It needs no ROS."""
 
 from __future__ import annotations
 
+import functools
+import importlib
 from typing import Any, NamedTuple
-
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseStamped, WrenchStamped
-from nav_msgs.msg import Path
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, Header, Int64MultiArray, String
-from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
-from visualization_msgs.msg import MarkerArray
 
 
 class Qos(NamedTuple):
@@ -46,11 +39,22 @@ NEWEST = Qos(1, reliable=False)
 """What real-time subscribers request: only the last message counts."""
 
 
+@functools.cache
+def message_class(name: str) -> Any:
+    """The class of a message type, such as sensor_msgs/msg/JointState; None if it is not installed."""
+    package, _, kind = name.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), kind, None)
+    except (ImportError, TypeError, ValueError):
+        return None
+
+
 class Topic(NamedTuple):
     """One topic, with the quality of service that its publishers offer."""
 
     name: str
-    type: Any
+    type_name: str
+    """Type as ROS writes it, such as sensor_msgs/msg/JointState."""
     qos: Qos = STREAM
     called: str = ""
     """What its messages are called where they are refused; see `contents`."""
@@ -63,36 +67,35 @@ class Topic(NamedTuple):
         return self.called or self.name.replace("_", " ")
 
     @property
-    def type_name(self) -> str:
-        """Type as ROS writes it, such as sensor_msgs/msg/JointState."""
-        package, kind, _ = self.type.__module__.split(".")
-        return f"{package}/{kind}/{self.type.__name__}"
+    def type(self) -> Any:
+        """Class of its messages; None if it is not installed."""
+        return message_class(self.type_name)
 
 
-JOINT_STATES = Topic("joint_states", JointState)
-COMMANDS = Topic("effort_controller/commands", Float64MultiArray, called="commands")
-ADAPTER_COMMANDS = Topic("adapter/commands", Float64MultiArray, called="commands")
-SHADOW_COMMANDS = Topic("shadow/commands", Float64MultiArray, called="commands")
-GOAL_POSE = Topic("goal_pose", PoseStamped, called="goals")
-GOAL_STATE = Topic("goal/state", DiagnosticStatus, LATCHED_EVENTS, called="goal states")
-REFERENCE_POSE = Topic("reference/pose", MultiDOFJointTrajectory, called="references")
-REFERENCE_POSTURE = Topic("reference/posture", JointTrajectory, called="references")
-OBSTACLES = Topic("obstacles", MarkerArray, LATCHED, from_anybody=True)
-EXTERNAL_TORQUE = Topic("external_torque", JointState, called="external torques")
-EXTERNAL_WRENCH = Topic("external_wrench", WrenchStamped)
-SAFETY_STATE = Topic("safety_state", DiagnosticStatus, LATCHED_EVENTS, called="safety states")
-DIAGNOSTICS = Topic("diagnostics", DiagnosticArray)
-PLAN_PATH = Topic("plan/path", Path)
-PLAN_MARKERS = Topic("plan/markers", MarkerArray, called="plans")
-SIM_CONTACTS = Topic("sim/contacts", JointState, called="contacts")
-ROBOT_DESCRIPTION = Topic("robot_description", String, LATCHED)
-CLOCK = Topic("clock", Clock)
-SETTINGS = Topic("settings", DiagnosticStatus, LATCHED_EVENTS)
-CONTROLLER_INTAKE = Topic("intake/controller", Int64MultiArray, LATCHED_EVENTS)
-OBSERVER_INTAKE = Topic("intake/observer", Int64MultiArray, LATCHED_EVENTS)
-PLAN_STATISTICS = Topic("plan/statistics", DiagnosticArray)
-PLAN_REQUEST = Topic("plan/request", Float64MultiArray)
-LOCKSTEP_HORIZON = Topic("lockstep/horizon", Header, KEPT_STREAM, called="promises")
+JOINT_STATES = Topic("joint_states", "sensor_msgs/msg/JointState")
+COMMANDS = Topic("effort_controller/commands", "std_msgs/msg/Float64MultiArray", called="commands")
+ADAPTER_COMMANDS = Topic("adapter/commands", "std_msgs/msg/Float64MultiArray", called="commands")
+SHADOW_COMMANDS = Topic("shadow/commands", "std_msgs/msg/Float64MultiArray", called="commands")
+GOAL_POSE = Topic("goal_pose", "geometry_msgs/msg/PoseStamped", called="goals")
+GOAL_STATE = Topic("goal/state", "diagnostic_msgs/msg/DiagnosticStatus", LATCHED_EVENTS, called="goal states")
+REFERENCE_POSE = Topic("reference/pose", "trajectory_msgs/msg/MultiDOFJointTrajectory", called="references")
+REFERENCE_POSTURE = Topic("reference/posture", "trajectory_msgs/msg/JointTrajectory", called="references")
+OBSTACLES = Topic("obstacles", "visualization_msgs/msg/MarkerArray", LATCHED, from_anybody=True)
+EXTERNAL_TORQUE = Topic("external_torque", "sensor_msgs/msg/JointState", called="external torques")
+EXTERNAL_WRENCH = Topic("external_wrench", "geometry_msgs/msg/WrenchStamped")
+SAFETY_STATE = Topic("safety_state", "diagnostic_msgs/msg/DiagnosticStatus", LATCHED_EVENTS, called="safety states")
+DIAGNOSTICS = Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+PLAN_PATH = Topic("plan/path", "nav_msgs/msg/Path")
+PLAN_MARKERS = Topic("plan/markers", "visualization_msgs/msg/MarkerArray", called="plans")
+SIM_CONTACTS = Topic("sim/contacts", "sensor_msgs/msg/JointState", called="contacts")
+ROBOT_DESCRIPTION = Topic("robot_description", "std_msgs/msg/String", LATCHED)
+CLOCK = Topic("clock", "rosgraph_msgs/msg/Clock")
+SETTINGS = Topic("settings", "diagnostic_msgs/msg/DiagnosticStatus", LATCHED_EVENTS)
+CONTROLLER_INTAKE = Topic("intake/controller", "std_msgs/msg/Int64MultiArray", LATCHED_EVENTS)
+OBSERVER_INTAKE = Topic("intake/observer", "std_msgs/msg/Int64MultiArray", LATCHED_EVENTS)
+PLAN_STATISTICS = Topic("plan/statistics", "diagnostic_msgs/msg/DiagnosticArray")
+PLAN_REQUEST = Topic("plan/request", "std_msgs/msg/Float64MultiArray")
+LOCKSTEP_HORIZON = Topic("lockstep/horizon", "std_msgs/msg/Header", KEPT_STREAM, called="promises")
 
 ALL = tuple(value for value in list(vars().values()) if isinstance(value, Topic))
 """What a recorder writes."""

@@ -104,7 +104,6 @@ class AdapterNode(StoppableNode):
             return False
         if not (self.running and self.is_engaged):
             return True
-        self._target.ask_idle()
         reason = self._target.idle or self._driver_gone() or ("the user insists" if insists else "")
         if reason:
             self.get_logger().info(f"lets go of the arm: {reason}")

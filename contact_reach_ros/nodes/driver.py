@@ -110,7 +110,6 @@ class DriverNode(ManagedNode):
         values: dict[str, Any] = {
             "ticks": self.robot.plant.steps,
             "missed ticks": self.pace.missed,
-            "commands rejected": self.robot.rejected,
             "actuation": self.robot.plant.actuation.value,
             "stop reason": self.robot.stop_reason,
         }

@@ -111,7 +111,8 @@ class PlannerNode(ManagedNode):
         self.follow(topics.JOINT_STATES, self._on_state, hurried=False)
 
     def configure(self) -> None:
-        """Compile the solver, and load what reads obstacles: with the first ones, plans would wait for it."""
+        """Compile the solver, and load what reads obstacles and explains contact: plans would wait for it later."""
+        import_module("scipy.optimize")
         import_module("scipy.sparse.csgraph")
         import_module("scipy.spatial")
         self._planner.core = self._core = RecedingHorizonPlanner(
@@ -271,8 +272,7 @@ class PlannerNode(ManagedNode):
                 return self._frames.publish_goal(message)
             pose, kept = message.pose, self.settings[""].goal_orientation
             orientation = quaternion(pose.orientation) if kept == POSE else kept
-            frame = message.header.frame_id
-            goal = Goal(vector(pose.position), orientation, frame=frame)
+            goal = Goal(vector(pose.position), orientation)
             for name, why in self._stops.items():
                 # The arm would move as soon as it is reset.
                 raise InputError(f"goal: {name} has stopped the arm ({why}); first: contact-reach reset")

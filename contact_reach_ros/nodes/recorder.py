@@ -18,7 +18,6 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from contact_reach_ros.bags.message_types import message_class
 from contact_reach_ros.bags.settings import MEGA, RECORDER_SECTIONS, RecorderSettings, shortage_in
 from contact_reach_ros.bags.topics import LOST, RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
@@ -27,7 +26,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.topics import Qos, Topic
 from contact_reach_ros.resources import versions
-from contact_reach_ros.ros.inbox import LoopGroup, qos_profile
+from contact_reach_ros.ros.inbox import NO_EVENTS, LoopGroup, qos_profile
 from contact_reach_ros.ros.lockstep import FOREVER_NS, promise
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
@@ -279,13 +278,13 @@ class TopicRecorder:
         """A topic of the type of its first publisher; None, with a line in the log, if that is not installed."""
         if not publishers:
             return None
-        kind = message_class(publishers[0].topic_type)
-        if kind is None:
-            what = f"'{name}', as {publishers[0].topic_type} is not installed"
+        latched = all(one.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in publishers)
+        topic = Topic(name, publishers[0].topic_type, topics.ALL_EVENTS if latched else topics.STREAM)
+        if topic.type is None:
+            what = f"'{name}', as {topic.type_name} is not installed"
             self._node.get_logger().error(f"not recorded: {what}; source the workspace that has it")
             return None
-        latched = all(one.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in publishers)
-        return Topic(name, kind, topics.ALL_EVENTS if latched else topics.STREAM)
+        return topic
 
     def _note_losses(self) -> None:
         known = all(recorded.loss.known for recorded in self._recorded.values())
@@ -312,8 +311,15 @@ class TopicRecorder:
         else:
             self.drain()
             self._node.destroy_subscription(before.subscription)
+        # Who offers less is recorded all the same, a little later: that need not be logged.
         subscription = self._node.create_subscription(
-            topic.type, name, lambda _: None, qos_profile(qos), callback_group=self._group, raw=True
+            topic.type,
+            name,
+            lambda _: None,
+            qos_profile(qos),
+            callback_group=self._group,
+            event_callbacks=NO_EVENTS,
+            raw=True,
         )
         loss = LossCounter() if before is None else before.loss
         self._recorded[name] = _Recorded(self._name_in_bag(topic), topic.type, qos, subscription, loss)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 import threading
@@ -13,12 +14,11 @@ from pathlib import Path
 from rclpy.duration import Duration
 from rclpy.node import Node
 
-from contact_reach_ros.bags.message_types import message_class
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.topics import CDR, RecordedTopic
 from contact_reach_ros.errors import ContactReachError, InputError
 from contact_reach_ros.messages import topics
-from contact_reach_ros.ros.discovery import CHOICES
+from contact_reach_ros.ros.discovery import CHOICES, environment
 from contact_reach_ros.ros.inbox import qos_profile
 from contact_reach_ros.ros.interfaces import REPLAY
 from contact_reach_ros.ros.parameters import without_ros_arguments
@@ -65,8 +65,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise InputError(f"--loop: {left:.3f} s are left to replay; expected at least {_LEAST_LOOP_S:g} s")
         chosen = choose_topics(reader, options.topics)
         stopped = threading.Event()
+        os.environ.update(environment(options.discovery))
         # ROS ignores arguments that are not its own.
-        with bare_node(REPLAY, options.discovery, given if len(own) < len(given) else ()) as node:
+        with bare_node(REPLAY, given) as node:
             for number in (signal.SIGINT, signal.SIGTERM):
                 signal.signal(number, lambda *_: stopped.set())
             publish(node, reader, chosen, options, stopped)
@@ -94,7 +95,7 @@ def choose_topics(reader: BagReader, wanted: Sequence[str] | None) -> dict[str, 
         if name not in known:
             raise InputError(f"--topics {name}: the bag has no such topic; it has {', '.join(sorted(known))}")
         encoding, type_name = known[name].encoding, known[name].type
-        kind = message_class(type_name) if encoding == CDR else None
+        kind = topics.message_class(type_name) if encoding == CDR else None
         if kind is not None:
             chosen[name] = kind
         else:

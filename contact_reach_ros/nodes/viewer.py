@@ -19,7 +19,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.conversions import to_goal_pose
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import read_plan
-from contact_reach_ros.messages.safety_state import ERROR
+from contact_reach_ros.messages.safety_state import read_state
 from contact_reach_ros.messages.serialized import JointStateReader
 from contact_reach_ros.messages.values import efforts, places_of
 from contact_reach_ros.observer.budget import load_budget
@@ -33,11 +33,11 @@ from contact_reach_ros.ros.parameters import settings_of
 from contact_reach_ros.ros.process import in_namespace, run
 from contact_reach_ros.settings import DEFAULT_PARAMETERS, as_arguments
 from contact_reach_ros.viewer.access import call, serve
-from contact_reach_ros.viewer.frame import LiveState, safety_status
+from contact_reach_ros.viewer.frame import LiveState
 from contact_reach_ros.viewer.page import Page
 from contact_reach_ros.viewer.playback import Player
 from contact_reach_ros.viewer.recorded import Recording
-from contact_reach_ros.viewer.settings import MAX_RATE, VIEWER_SECTIONS, ViewerSettings
+from contact_reach_ros.viewer.settings import MAX_RATE, VIEWER_SECTIONS, ViewerSettings, page_address
 
 TITLE = "contact_reach_ros"
 
@@ -76,7 +76,7 @@ class ViewerNode(ManagedNode):
         self._page = call(self._server, lambda: Page(self._server, arm, budget, self.live, self, player))
         port = self._server.get_port()
         self.get_logger().info(
-            f"open {settings.page_address(port)}; on another machine, first run ssh -L {port}:localhost:{port} robot"
+            f"open {page_address(port)}; on another machine, first run ssh -L {port}:localhost:{port} robot"
         )
 
     def _listen(self) -> None:
@@ -122,7 +122,7 @@ class ViewerNode(ManagedNode):
     def reset(self) -> str:
         """See `Actions`."""
         safety = self.live.safety
-        is_stopped = any(status.level == ERROR for status in safety.values())
+        is_stopped = any(state.is_stop for state in safety.values())
         return self._client.release(safety).text if is_stopped else NOTHING
 
     def _on_state(self, data: bytes) -> None:
@@ -149,7 +149,7 @@ class ViewerNode(ManagedNode):
         self.live.on_contacts(forces, largest)
 
     def _on_safety(self, message: DiagnosticStatus) -> None:
-        self.live.safety[message.name] = safety_status(message, self.arm)
+        self.live.safety[message.name] = read_state(message, self.arm)
 
 
 def view(chosen: Mapping[str, Any], parameters: Path | None, namespace: str = "") -> int:

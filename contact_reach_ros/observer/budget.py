@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from contact_reach_ros.arm import Arm
 from contact_reach_ros.arm.table import excessive
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.resources import config_file
-from contact_reach_ros.settings import ArmDefaults, Settings, read_yaml, setting
+from contact_reach_ros.settings import Settings, read_yaml, setting
 
 BUDGET = "budget"
 """Prefix of the contact budget among the settings that nodes report: it comes from a file of its own."""
@@ -52,7 +53,7 @@ class ContactBudget(Settings):
         0.01,
     )
 
-    def resolve(self, arm: ArmDefaults) -> Self:
+    def resolve(self, arm: Arm) -> Self:
         """As any settings; raises `SettingsError`, too, where a threshold exceeds the torque that a joint can take."""
         budget = super().resolve(arm)
         for wrong in excessive(vars(budget), arm.torque_limits):

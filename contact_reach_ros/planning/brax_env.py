@@ -50,7 +50,7 @@ from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.terms import Context, Problem, Rollout, term_weights, weighted_terms
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.arithmetic import collect, dot, single
-from contact_reach_ros.planning.transfer.contact import Obstacles
+from contact_reach_ros.planning.transfer.contact import CONTACT_STIFFNESS, Obstacles
 from contact_reach_ros.planning.transfer.dynamics import (
     arm_dynamics,
     flange_drift,
@@ -125,7 +125,7 @@ class _World:
             # has four edges that share the normal force.
             pyramid = 0.5 * _FRICTION**2 * (1.0 + _FRICTION**2)
             scale = (1.0 - _IMPEDANCE) * pyramid / mass
-            solref = jnp.stack([-objective.system.contact_stiffness * scale, -_CONTACT_DAMPING * scale], axis=1)
+            solref = jnp.stack([-CONTACT_STIFFNESS * scale, -_CONTACT_DAMPING * scale], axis=1)
             spheres = jnp.flatnonzero(np.asarray(system.geom_type) == _SPHERE, size=count)
             system = system.tree_replace(
                 {

@@ -172,7 +172,7 @@ PAPER_SIGMA = 0.01
 def make_objective(arm: Arm, settings: PlanningSettings, gains: ImpedanceSettings) -> Objective:
     """The cost over the transfer function that `settings.pipeline` names."""
     timestep = settings.knot_duration / settings.substeps
-    system = System(arm_model(arm), gains.resolve(arm), settings.contact_stiffness, timestep)
+    system = System(arm_model(arm), gains.resolve(arm), timestep)
     arguments = (system, settings.horizon, settings.substeps)
     if settings.pipeline == "closed_loop":
         return Objective(*arguments)

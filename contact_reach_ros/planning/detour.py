@@ -124,7 +124,7 @@ class Detour(NamedTuple):
         """Weights of terms for the next plan, by their names."""
         if not self.is_on:
             return {"detour": 0.0}
-        off = dict.fromkeys(("goal", "progress", "terminal", "orientation"), 0.0)
+        off = dict.fromkeys(("goal", "progress", "orientation"), 0.0)
         # As on the way to a goal: permitted contact must not keep the arm from where it has to be.
         share = math.exp(-self.waited / settings.contact_patience) if settings.contact_patience else 1.0
         return off | {"contact": _ROOM * share * settings.contact_weight}
@@ -222,7 +222,7 @@ class Detours:
         return Detour(q, 0.0, detour.number + 1, True, postures, path)
 
     def _statics(self, request: Request) -> Statics:
-        return Statics(self.arm, request.spheres, self.settings.contact_stiffness, request.q, request.goal)
+        return Statics(self.arm, request.spheres, request.q, request.goal)
 
     def _choose(self, request: Request, detour: Detour) -> Array | None:
         """A way (p, n) to a posture at the goal: the straight one that costs least or, without one, a path.

@@ -187,6 +187,6 @@ def check_motion(arm: Arm, q: Array, environment: Environment) -> None:
     if -deepest.distance > max(COLLISION_TOLERANCE, -first.distance + _DEEPER):
         raise PlanningError(
             f"the plan would bring the arm into a collision: {deepest}, permitted are {1000 * COLLISION_TOLERANCE:g} "
-            "mm; it is refused and the plan in force runs out into a hold: choose another goal or posture, move the "
-            "body, or raise planning.clearance_weight"
+            "mm; it is refused and the plan in force runs out into a hold: choose another goal or posture, or "
+            "move the body"
         )

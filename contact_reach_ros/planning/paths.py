@@ -17,6 +17,7 @@ from contact_reach_ros.arm.capsules import moving, shape_segments
 from contact_reach_ros.arm.inverse_kinematics import pose_errors
 from contact_reach_ros.arm.kinematics import tip_positions
 from contact_reach_ros.planning.obstacles import Network
+from contact_reach_ros.planning.transfer.contact import CONTACT_STIFFNESS
 from contact_reach_ros.world.collision import GOAL_CLEARANCE, nearest, overlap_depths
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
@@ -58,18 +59,16 @@ class Statics:
     ----------
     spheres
         Soft obstacles, where they are without the arm, and the rigid bodies.
-    contact_stiffness
-        Of their surfaces, N/m.
     start
         (n,) rad, where motions begin. They keep as far from rigid bodies as a goal has to, or as the arm does there.
     goal
         Of the motions. An arm to which it leaves no free dimension meets singularities, too.
     """
 
-    def __init__(self, arm: Arm, spheres: Spheres, contact_stiffness: float, start: Array, goal: Target) -> None:
+    def __init__(self, arm: Arm, spheres: Spheres, start: Array, goal: Target) -> None:
         self.arm, self.start, self._goal = arm, start, goal
         self._spheres = dataclasses.replace(spheres, center=spheres.rest)
-        self._stiffness = 1.0 / (1.0 / contact_stiffness + Network(spheres).softness) if len(spheres) else np.zeros(0)
+        self._stiffness = 1.0 / (1.0 / CONTACT_STIFFNESS + Network(spheres).softness) if len(spheres) else np.zeros(0)
         self._side = self._sides(start[None])
         pairs = nearest(arm, start[None], spheres.environment)
         self._clearance = min(pairs[0].distance, GOAL_CLEARANCE) if pairs else -np.inf

@@ -88,13 +88,13 @@ class KnownObstacles:
 
 
 PATIENCE_NS = NANOSECONDS // 100
+"""Least duration of a contact that counts, ns: ten states, so that no single one ends a motion."""
 _EARLY = 1.0
 """Time from a goal within which a contact may come from the arm's set-up rather than from its surroundings, s."""
 _AT_THE_START = (
     ", or the observer does not know the arm's tool, or a filter of its measured torques (momentum.torque_cutoff, or "
     "KUKA's measured_torque_tau in robot_description: docs/adapter.md)"
 )
-"""Least duration of a contact that counts, ns: ten states, so that no single one ends a motion."""
 
 _RECENT = 8
 """Plans whose times the latency of the next one is estimated from: on a busy machine they vary."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -119,7 +118,7 @@ class RecedingHorizonPlanner:
         self._space = self._make_space(arm, settings, gains)
         self._predictor = Predictor(self._space.objective.system, self._advance)
         self._solver = solver(self._space.cost, len(self._space.bounds), settings)
-        self._evaluate = jax.jit(Compiled(self._roll_out, settings.backend))
+        self._evaluate = jax.jit(Compiled(self._roll_out))
         self.memory: Memory | None = None
         self._number = 0
         self._last_check_s = 0.0
@@ -161,9 +160,8 @@ class RecedingHorizonPlanner:
         self.memory = None
 
     def reseed(self, seed: int) -> None:
-        """Forget the plans made so far and draw other candidates from now on, as with that seed in the settings."""
+        """Forget the plans made so far and draw other candidates from now on."""
         self.reset()
-        self._settings = dataclasses.replace(self._settings, seed=seed)
         self._solver.reseed(seed)
 
     def plan(self, request: Request) -> Plan:

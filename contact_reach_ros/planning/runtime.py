@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import os
-from importlib.util import find_spec
 from pathlib import Path
-
-_GPU_PLUGINS = ("jax_cuda13_plugin", "jax_cuda12_plugin", "jax_rocm7_plugin", "jax_rocm60_plugin")
 
 _OPTIONS = (
     # A loop, however large, becomes one function. By default each of its hundreds of operations is started on its own
@@ -30,7 +27,7 @@ _FLAGS = {
 def configure_jax(cache: Path | None = None) -> None:
     """Start JAX's backend on one thread a core; call it before the first computation.
 
-    Whatever the user has set in JAX_PLATFORMS, XLA_FLAGS or NPROC stays as it is. A backend that is already running
+    Whatever the user has set in XLA_FLAGS or NPROC stays as it is. A backend that is already running
     keeps its threads and flags.
 
     Parameters
@@ -45,9 +42,6 @@ def configure_jax(cache: Path | None = None) -> None:
         flags = os.environ.get("XLA_FLAGS", "")
         missing = (flag for name, flag in _FLAGS.items() if name not in flags)
         os.environ["XLA_FLAGS"] = " ".join((flags, *missing)).strip()
-    # Without support for a GPU, JAX would only complain that there is none.
-    if "JAX_PLATFORMS" not in os.environ and not any(map(find_spec, _GPU_PLUGINS)):
-        jax.config.update("jax_platforms", "cpu")
     if cache is not None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
         # The programs are few, and even the quick ones are worth keeping.

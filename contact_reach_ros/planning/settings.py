@@ -11,7 +11,6 @@ from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.world.goal import HOLD, ORIENTATIONS
 
 PIPELINES = ("closed_loop", "generalized")
-AUTO, XLA = BACKENDS = ("auto", "xla")
 BOUNDS, PAPER = SAMPLINGS = ("bounds", "paper")
 
 ROTATION_BOUND = POSTURE_BOUND = 0.2
@@ -30,30 +29,15 @@ class PlanningSettings(Settings):
         "transfer model: this package's, or Brax's own for comparison, which is much slower",
         choices=PIPELINES,
     )
-    backend: str = setting(
-        AUTO,
-        "compiler of the cost: this package's on a CPU, which is two to three times as fast, XLA elsewhere; or XLA",
-        choices=BACKENDS,
-    )
     goal_weight: float = setting(1.0, "λ1 of (5): distance to the goal", unit="1/m", minimum=0.0, maximum=100.0)
     progress_weight: float = setting(
         0.2, "λ2 of (5): distance from the start of the plan", unit="1/m", minimum=0.0, maximum=100.0
-    )
-    terminal_weight: float = setting(
-        0.0,
-        "distance to the goal at the end of the plan alone, as in the authors' code",
-        unit="1/m",
-        minimum=0.0,
-        maximum=1000.0,
     )
     contact_limit_weight: float = setting(
         5.0, "λ3 of (5): contact force above the permitted one", unit="1/N", minimum=0.0, maximum=100.0
     )
     contact_weight: float = setting(
         0.01, "any contact force, so that permitted ones stay low", unit="1/N", minimum=0.0, maximum=100.0
-    )
-    contact_squared_weight: float = setting(
-        0.0, "squared contact forces of all links, as in the authors' code", unit="1/N²", minimum=0.0, maximum=100.0
     )
     contact_patience: float = setting(
         0.5,
@@ -74,13 +58,6 @@ class PlanningSettings(Settings):
         minimum=0.0,
         maximum=60.0,
     )
-    clearance_weight: float = setting(
-        100.0,
-        "squared intrusion of the arm into the margin around rigid bodies and its own links",
-        unit="1/m²",
-        minimum=0.0,
-        maximum=10000.0,
-    )
     null_motion_weight: float = setting(
         0.003,
         "squared Δq, so that the elbow rests when nothing requires it to move",
@@ -96,9 +73,6 @@ class PlanningSettings(Settings):
         maximum=10000.0,
     )
     translation_bound: float = setting(0.01, "γ of Δx, each axis", unit="m", minimum=0.001, maximum=0.1)
-    contact_stiffness: float = setting(
-        1000.0, "force per penetration between a link and a sphere", unit="N/m", minimum=10.0, maximum=100000.0
-    )
     population: int = setting(
         200,
         "k: candidates per step, of which the best quarter makes the next mean, and values of β tried along the "
@@ -120,7 +94,6 @@ class PlanningSettings(Settings):
         minimum=0.0,
         maximum=10.0,
     )
-    seed: int = setting(0, "seed of the candidates", minimum=0, maximum=2**31 - 1)
 
     @property
     def elite(self) -> int:

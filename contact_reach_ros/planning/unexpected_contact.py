@@ -23,10 +23,6 @@ _ROW_OF_SUM = 100.0
 """Weight of the sum of all forces in the fit, beside torques in units of the contact thresholds: it is kept exactly."""
 
 
-_ZERO = 1e-12
-"""Share of the greatest force that is a rounding error."""
-
-
 Places = tuple[Array, Array, Array]
 """Where known bodies may touch the arm: links (P,), 0 for that of the first joint, points (P, 3) on the axes of their
 capsules, m, and normals (P, 3) out of the bodies; base frame."""
@@ -66,6 +62,9 @@ class Explanation:
         At each place a force may act out of the body, within a friction cone, and all of them together with no more
         than is permitted.
         """
+        # SciPy takes a while to import; the node does it before the arm moves.
+        from scipy.optimize import nnls
+
         links, points, normals = places
         sides = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
         sides /= np.linalg.norm(sides, axis=1, keepdims=True)
@@ -79,7 +78,10 @@ class Explanation:
         columns = np.hstack([self._most * columns, np.zeros((len(q), 1))])
         sums = np.full((1, columns.shape[1]), _ROW_OF_SUM)
         target = np.append(self._locator.weights * torque, _ROW_OF_SUM)
-        shares = nonnegative_fit(np.vstack([columns, sums]), target)
+        try:
+            shares, _ = nnls(np.vstack([columns, sums]), target)
+        except RuntimeError:  # after many iterations
+            return torque
         return torque - columns @ shares / self._locator.weights
 
 
@@ -97,29 +99,3 @@ def places_near(arm: Arm, q: Array, spheres: Spheres) -> Places:
     _, capsules = np.nonzero(near)
     links = np.array([capsule.link - 1 for capsule in arm.capsules])
     return links[capsules], points[near], normals[near] / distances[near, None]
-
-
-def nonnegative_fit(matrix: Array, target: Array) -> Array:
-    """The x ≥ 0, (n,), that minimises |A x - b| for A (m, n) and b (m,), after Lawson and Hanson (1974), chapter 23.
-
-    SciPy has it too, but would be a sixth of the planner's start.
-    """
-    x, passive = np.zeros(matrix.shape[1]), np.zeros(matrix.shape[1], bool)
-    least = _ZERO * np.linalg.norm(matrix, axis=0).max() * np.linalg.norm(target)
-    for _ in range(3 * len(x)):
-        slope = np.where(passive, 0.0, matrix.T @ (target - matrix @ x))
-        if slope.max() <= least:
-            break
-        passive[slope.argmax()] = True
-        while passive.any():
-            free = np.zeros_like(x)
-            free[passive] = np.linalg.lstsq(matrix[:, passive], target, rcond=None)[0]
-            negative = passive & (free <= 0.0)
-            if not negative.any():
-                x = free
-                break
-            # As far as the first of them becomes zero.
-            x += (x[negative] / (x[negative] - free[negative])).min() * (free - x)
-            passive &= x > _ZERO * x.max()
-            x[~passive] = 0.0
-    return x

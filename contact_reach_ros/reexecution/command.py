@@ -84,9 +84,9 @@ def _as_json(found: Loop, inputs: RecordedInputs) -> dict[str, Any]:
 def _reexecute_plan(inputs: RecordedInputs, number: int) -> tuple[dict[str, Any], bool]:
     """Solve a plan again; returns its numbers, and whether it differs."""
     # The planner's libraries take seconds to import.
-    from contact_reach_ros.reexecution.plans import RecordedPlans
+    from contact_reach_ros.reexecution.plans import solve_again
 
-    found = RecordedPlans(inputs).solve(number)
+    found = solve_again(inputs, number)
     plan, recorded = found.plan, found.statistics
     print(f"plan {number}")
     if found.exceeded:

@@ -1,7 +1,4 @@
-"""Inputs of a re-execution: what the nodes of a bag took in, in their order.
-
-The bag is read along with them, so that an hour of it takes no more memory than a minute.
-"""
+"""Inputs of a re-execution: what the nodes of a bag took in, in their order."""
 
 from __future__ import annotations
 
@@ -16,13 +13,13 @@ from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Arm, Array, JointState
 from contact_reach_ros.arms import ROBOT_DIGEST, ROBOT_TABLE, known_parameters, make_settings
-from contact_reach_ros.bags.columns import Arrays, Collector, JointStates, reading
+from contact_reach_ros.bags.columns import Arrays, Collector, Column, JointStates, Times
 from contact_reach_ros.bags.mcap_file import Messages
 from contact_reach_ros.bags.reader import BagReader, RawMessage
 from contact_reach_ros.bags.signals import SETTINGS, recorded_arm, settings_of_bag
 from contact_reach_ros.control.settings import CONTROLLER_SECTIONS
 from contact_reach_ros.errors import BagError, SettingsError
-from contact_reach_ros.messages.intake import COLUMNS, TOPICS, Taken
+from contact_reach_ros.messages.intake import TOPICS, Taken, read_batch
 from contact_reach_ros.messages.safety_state import read_reason
 from contact_reach_ros.messages.values import checked_stamp
 from contact_reach_ros.observer.budget import BUDGET, ContactBudget, load_budget
@@ -55,9 +52,6 @@ _OF_BAGS = (ROBOT_DIGEST, ROBOT_TABLE, "contact_budget")
 
 _PLAIN = tuple(name for name in TOPICS.values() if name != JOINT_STATES)
 """Topics of few messages, which are decoded when they are asked for."""
-_AHEAD_NS, _KEPT = 2 * NANOSECONDS, 20_000
-"""Time by which the joint states that were read are ahead of what the node takes in, ns, and the number of messages of
-each topic that are kept: twenty seconds of a 1 kHz arm."""
 _PACKED = np.dtype([("what", "u1"), ("sent", "i8"), ("clock", "i8"), ("gave", "?"), ("output", "u4")])
 
 
@@ -83,6 +77,32 @@ class Intake(NamedTuple):
     lost: int
     """Rows after a gap, which cannot be used: what came in between is not known."""
 
+    def each(self) -> Iterator[Row]:
+        """Yield the rows."""
+        for packed in self.rows:
+            what, *values = packed.item()
+            yield Row(Taken(what), *values)
+
+
+class Numbered:
+    """The messages of a column by a number that each of them has."""
+
+    def __init__(self, column: Column, numbers: Times) -> None:
+        """`numbers`: (n,) those of the messages."""
+        self.column = column
+        self._order = np.argsort(numbers, kind="stable")
+        self._numbers = numbers[self._order]
+
+    def row(self, number: int) -> int | None:
+        """Place in the column of the last message with this number; None without any."""
+        at = int(np.searchsorted(self._numbers, number, side="right")) - 1
+        return int(self._order[at]) if at >= 0 and self._numbers[at] == number else None
+
+    def get(self, number: int) -> Array | None:
+        """Values (k,) of the last message with this number; None without any."""
+        row = self.row(number)
+        return None if row is None else self.column.values[row]
+
 
 class RecordedInputs:
     """A bag's inputs of controller, observer and planner by the time at which they were sent.
@@ -103,26 +123,27 @@ class RecordedInputs:
     origin_ns :
         Stamp of the first joint state, ns.
     outputs :
-        Values of the commands by topic and the number that their publisher gave them, and of the external torques by
-        their stamp, ns, around what `read_along` yields.
+        Commands by topic and the number that their publisher gave them, and external torques by their stamp, ns.
     """
 
     def __init__(self, bag: BagReader) -> None:
         self.bag = bag
         self.settings = settings_of_bag(bag)
         self.arm = recorded_arm(self.settings)
-        self.outputs: dict[str, dict[int, Array]] = {
-            name: {} for name in (COMMANDS, ADAPTER_COMMANDS, SHADOW_COMMANDS, EXTERNAL_TORQUE)
-        }
-        self._states: dict[int, tuple[int, Array]] = {}
+        joints, names = self.arm.n, self.arm.joint_names
+        columns: dict[str, Collector] = {name: Arrays(joints) for name in (COMMANDS, ADAPTER_COMMANDS, SHADOW_COMMANDS)}
+        columns[JOINT_STATES] = JointStates(("position", "velocity", "effort"), names)
+        columns[EXTERNAL_TORQUE] = JointStates(("effort",), names)
         self._plain: dict[str, dict[int, RawMessage]] = {name: {} for name in _PLAIN}
-        self._tables: list[dict[int, Any]] = [self._states, *self.outputs.values(), *self._plain.values()]
-        self._begin()
-        while not self._states and self._read_on():
-            pass
-        if not self._states:
+        handlers: dict[str, Callable[[Messages], None]] = {f"/{name}": each for name, each in columns.items()}
+        handlers |= {f"/{name}": partial(self._keep, name) for name in self._plain}
+        bag.pass_on(handlers)
+        states = columns.pop(JOINT_STATES).column()
+        if not len(states):
             raise BagError(f"bag '{bag.path}' has no joint states: nothing can be re-executed")
-        self.origin_ns = next(iter(self._states.values()))[0]
+        self.origin_ns = int(states.stamp_ns[0])
+        self._states = Numbered(states, states.publish_ns)
+        self.outputs = {name: _numbered(name, each.column()) for name, each in columns.items()}
         if not any(f"/intake/{node}" in bag.topics for node in ("controller", "observer")):
             raise BagError(
                 f"bag '{bag.path}' lacks what the nodes took in, on intake/controller and intake/observer: "
@@ -134,14 +155,14 @@ class RecordedInputs:
 
         Raises `BagError` if the bag has none.
         """
-        width, known = len(COLUMNS), list(Taken)
+        known = list(Taken)
         by_first: dict[int, NDArray[np.void]] = {}
         for message in self.bag.messages(f"/intake/{node}"):
-            batch = message.data
-            if len(batch) > width and (len(batch) - 1) % width == 0:
-                rows = np.zeros((len(batch) - 1) // width, _PACKED)
-                rows["what"], rows["sent"], rows["clock"], rows["output"] = batch[1:].reshape(-1, width).T
-                by_first[int(batch[0])] = rows
+            first, batch = read_batch(message)
+            if len(batch):
+                rows = np.zeros(len(batch), _PACKED)
+                rows["what"], rows["sent"], rows["clock"], rows["output"] = batch.T
+                by_first[first] = rows
         if not by_first:
             raise BagError(f"bag '{self.bag.path}' lacks intake/{node}: what the {node} took in is not known")
         taken, lost, begin = [], 0, min(by_first)
@@ -162,28 +183,18 @@ class RecordedInputs:
             rows = rows[:-1]
         return Intake(rows, begin > 0, lost)
 
-    def read_along(self, intake: Intake) -> Iterator[Row]:
-        """Yield what a node took in; states, messages and outputs are known from before to after each row."""
-        self._begin()
-        states = intake.rows["sent"][intake.rows["what"] == Taken.JOINT_STATES]
-        self._read_until(int(states[0]) if len(states) else 0)
-        for first in range(0, len(intake.rows), _KEPT):
-            for what, *values in intake.rows[first : first + _KEPT].tolist():
-                row = Row(Taken(what), *values)
-                if row.what is Taken.JOINT_STATES:
-                    self._read_until(row.sent_ns)
-                yield row
-
     def state(self, sent_ns: int) -> JointState | None:
         """The joint state that was sent at that time; None if the bag lacks it.
 
         Raises `InputError` if its stamp is none that the nodes accept.
         """
-        if sent_ns not in self._states:
+        row = self._states.row(sent_ns)
+        if row is None:
             return None
-        stamp_ns, values = self._states[sent_ns]
-        q, v, torque = values.reshape(3, -1)
-        return JointState(checked_stamp(*divmod(stamp_ns, NANOSECONDS), "joint_states"), q, v, torque)
+        states = self._states.column
+        q, v, torque = states.values[row].reshape(3, -1)
+        stamp_ns = checked_stamp(*divmod(int(states.stamp_ns[row]), NANOSECONDS), "joint_states")
+        return JointState(stamp_ns, q, v, torque)
 
     def message(self, name: str, sent_ns: int) -> Any:
         """The decoded message of a topic that was sent at that time; None if the bag lacks it."""
@@ -196,49 +207,10 @@ class RecordedInputs:
         # A reason is published again when something else changes.
         return [reason for reason, _ in itertools.groupby(filter(None, reasons))]
 
-    def _begin(self) -> None:
-        """Begin at the start of the bag."""
-        for table in self._tables:
-            table.clear()
-        joints, names = self.arm.n, self.arm.joint_names
-        self._columns: dict[str, Collector] = {name: Arrays(joints) for name in self.outputs} | {
-            JOINT_STATES: JointStates(("position", "velocity", "effort"), names),
-            EXTERNAL_TORQUE: JointStates(("effort",), names),
-        }
-        self._counts = dict.fromkeys(self._columns, 0)
-        handlers: dict[str, Callable[[Messages], None]] = {f"/{name}": each for name, each in self._columns.items()}
-        handlers |= {f"/{name}": partial(self._keep, name) for name in self._plain}
-        self._reading, self._read_ns = reading(self.bag, handlers), 0
-
     def _keep(self, name: str, messages: Messages) -> None:
         for _, *row in messages.tolist():
             raw = RawMessage(f"/{name}", *row)
             self._plain[name].setdefault(raw.publish_time_ns, raw)
-
-    def _read_until(self, sent_ns: int) -> None:
-        while self._read_ns < sent_ns + _AHEAD_NS and self._read_on():
-            pass
-
-    def _read_on(self) -> bool:
-        """Read some messages, and forget the oldest ones; False at the end."""
-        is_more = next(self._reading, None) is not None
-        for name, collector in self._columns.items():
-            part = collector.column()
-            keys = part.stamp_ns
-            if name == JOINT_STATES:
-                self._states |= zip(part.publish_ns.tolist(), zip(keys.tolist(), part.values, strict=True), strict=True)
-                self._read_ns = int(part.publish_ns.max(initial=self._read_ns))
-                continue
-            if name != EXTERNAL_TORQUE:
-                # A middleware may give no numbers: losses cannot be seen then, so none are assumed.
-                counted = self._counts[name] + np.arange(1, len(part) + 1)
-                keys = np.where(part.sequence == 0, counted, part.sequence)
-                self._counts[name] += len(part)
-            self.outputs[name] |= zip(keys.tolist(), part.values, strict=True)
-        for table in self._tables:
-            for key in list(itertools.islice(table, max(len(table) - _KEPT, 0))):
-                del table[key]
-        return is_more
 
     def sections(self, node: str) -> dict[str, Any]:
         """The settings objects of a node by prefix, as they were.
@@ -248,6 +220,13 @@ class RecordedInputs:
         if node not in self.settings:
             raise BagError(f"bag '{self.bag.path}' lacks the settings of the {node} on topic '{SETTINGS}'")
         return recorded_sections(node, self.settings[node], self.arm, self.bag.path)
+
+
+def _numbered(topic: str, column: Column) -> Numbered:
+    if topic == EXTERNAL_TORQUE:
+        return Numbered(column, column.stamp_ns)
+    # A middleware may give no numbers: losses cannot be seen then, so none are assumed.
+    return Numbered(column, np.where(column.sequence == 0, np.arange(1, len(column) + 1), column.sequence))
 
 
 def recorded_sections(node: str, recorded: Mapping[str, Any], arm: Arm, bag: object) -> dict[str, Any]:

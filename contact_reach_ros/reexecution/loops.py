@@ -118,7 +118,7 @@ class Loop:
 
     def run(self) -> None:
         """Go through all rows."""
-        for row in self.inputs.read_along(self.intake):
+        for row in self.intake.each():
             if row.what in self.handlers:
                 with contextlib.suppress(InputError):  # as the node refused it
                     self.handlers[row.what](row)

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from contact_reach_ros.arm import Arm, Array, tip_positions
+from contact_reach_ros.arm import Array
 from contact_reach_ros.arms import load_arm
-from contact_reach_ros.bags.columns import Column
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.signals import (
     COMMANDS,
     EpisodeSignals,
+    Series,
     goal_distance,
     read_signals,
     recorded_arm,
@@ -32,8 +32,6 @@ CALLED = "stop service called"
 """Reason of the stop that ends a run as planned."""
 BEFORE = 2.0
 """Time shown before the first goal, s: a stack may have waited long for it."""
-_KEPT = 10_000
-"""Number of joint states for which torques may still come."""
 
 _EXPECTED = {
     "joint_states": "joint positions, distance, tick jitter",
@@ -50,104 +48,10 @@ _EXPECTED = {
 }
 
 
-class Exceeded:
-    """How far the budget was used, by all messages, of which the signals of a long recording keep few.
-
-    Attributes
-    ----------
-    watches :
-        What is given the messages, by topic: of external torques after the joint states up to them.
-    time_above :
-        Time with a contact force above the permitted force, ms; NaN without any force.
-    threshold_share :
-        Greatest ratio of any joint's external torque to the threshold that stops the arm at the joint's speed.
-    """
-
-    def __init__(self, budget: ContactBudget) -> None:
-        self.watches = {"joint_states": self._speeds, "external_torque": self._torques, "sim/contacts": self._forces}
-        self.time_above = self.threshold_share = float("nan")
-        self._budget = budget
-        self._force_ns, self._forces_then = np.zeros(0, np.int64), np.zeros(0)
-        self._speed_ns, self._speeds_then = np.zeros(0, np.int64), np.zeros((0, len(budget.torque_thresholds)))
-
-    def _forces(self, part: Column) -> None:
-        times = np.append(self._force_ns, part.time_ns)
-        forces = np.append(self._forces_then, part.values[:, part.names.index("max")])
-        above_ns = np.diff(times)[forces[:-1] > self._budget.permitted_force].sum()
-        if len(times) > 1:
-            self.time_above = float(np.nan_to_num(self.time_above) + 1000 * above_ns / NANOSECONDS)
-        self._force_ns, self._forces_then = times[-1:], forces[-1:]
-
-    def _speeds(self, part: Column) -> None:
-        speeds = np.abs(np.nan_to_num(part.values.reshape(len(part), 3, -1)[:, 1]))
-        self._speed_ns = np.append(self._speed_ns, part.time_ns)[-_KEPT:]
-        self._speeds_then = np.concatenate([self._speeds_then, speeds])[-_KEPT:]
-
-    def _torques(self, part: Column) -> None:
-        thresholds = np.tile(self._budget.torque_thresholds, (len(part), 1))
-        if len(self._speed_ns):
-            rows = np.minimum(np.searchsorted(self._speed_ns, part.time_ns), len(self._speed_ns) - 1)
-            thresholds += np.array(self._budget.torque_per_speed) * self._speeds_then[rows]
-        self.threshold_share = float(np.fmax(self.threshold_share, largest(np.abs(part.values) / thresholds)))
-
-
-class Episode:
-    """The episode of a bag's first goal; without a goal, the whole recording.
-
-    Raises `BagError` if there is no joint state.
-
-    Parameters
-    ----------
-    signals
-        Signals of the bag.
-    arm
-        The recorded arm.
-    end
-        Latest end of the episode, such as the shutdown of the stack, s since the first joint state.
-    timeout, settle
-        Times after the start and after the goal was reached at which the episode ends at the latest, s.
-
-    Attributes
-    ----------
-    start, end
-        When the first goal was sent, or 0 without a goal, and when the episode ended, s since the first joint state.
-    has_goal
-        Whether there is a goal.
-    reached
-        When the arm had settled at the goal, as the planner reported; on the same clock, NaN if it did not.
-    way
-        Distance from start to goal, m; NaN without a goal.
-    distance
-        Distance of the flange from the goal: the column "distance", m; empty without a goal.
-    """
-
-    def __init__(
-        self,
-        signals: EpisodeSignals,
-        arm: Arm,
-        end: float = np.inf,
-        timeout: float = np.inf,
-        settle: float = np.inf,
-    ) -> None:
-        position = signals.position
-        if not np.isfinite(position.values).all(axis=1).any():
-            raise BagError("holds no joint states of the arm; record joint_states")
-        self.distance = goal_distance(signals, arm)
-        self.has_goal = bool(len(self.distance.time))
-        self.start = float(signals.goals.time[0]) if self.has_goal else 0.0
-        last = min(float(position.time.max()), end, self.start + timeout)
-        settled = signals.settled[(signals.settled >= self.start) & (signals.settled <= last)]
-        self.reached = float(settled[0]) if self.has_goal and len(settled) else float("nan")
-        self.end = float(np.fmin(last, self.reached + settle))
-        self.way = float("nan")
-        if self.has_goal:
-            row = min(int(np.searchsorted(position.time, self.start)), len(position.time) - 1)
-            start_position = tip_positions(arm, position.values[row : row + 1])[0]
-            self.way = float(np.linalg.norm(signals.goals.values[0] - start_position))
-
-
 class ReportBag:
-    """One bag, complete or not, read for a report; raises `BagError` if the file is not a bag.
+    """One bag, complete or not, read for a report: its episode is that of the first goal, without one the whole bag.
+
+    Raises `BagError` if the file is not a bag.
 
     Parameters
     ----------
@@ -156,26 +60,31 @@ class ReportBag:
     label :
         Its name on the page.
     timeout, settle :
-        As for `Episode`.
+        Times after the goal, and after it was reached, at which the episode ends at the latest, s.
 
     Attributes
     ----------
     arm :
         The recorded arm.
-    reader, signals :
-        The bag, and its signals.
-    episode :
-        The episode; None without joint states.
+    reader, signals, settings :
+        The bag, its signals, and the settings of its nodes.
+    has_goal :
+        Whether there is a goal.
     zero :
-        Origin of the page's times: when the goal was sent, or the first joint state, s on the clock of the signals.
+        Begin of the episode, and origin of the page's times: when the goal was sent, or else the first joint state, s
+        on the clock of the signals.
+    reached :
+        When the arm had settled at the goal, as the planner reported, s on the same clock; NaN if it did not.
+    end :
+        End of the episode, likewise: where the bag ends, or a stop is called.
+    distance :
+        Distance of the flange from the goal: the column "distance", m; empty without a goal.
     verdict :
         The outcome in a few words.
     good :
         Whether the goal was reached without a stop.
     budget :
         Permitted contact force and torque thresholds.
-    exceeded :
-        Time above the permitted force, and the greatest share of a threshold.
     torque_limits :
         (n,) limit of each joint's commanded torque, Nm.
     notes :
@@ -186,7 +95,7 @@ class ReportBag:
         self.label = label
         self.reader = reader = BagReader(path, of_stack=True)
         notes: list[str] = []
-        settings = settings_of_bag(reader)
+        self.settings = settings = settings_of_bag(reader)
         try:
             self.arm = recorded_arm(settings)
         except BagError as error:
@@ -203,8 +112,7 @@ class ReportBag:
                 of_settings.append(f"the package's own {prefix} of the {node} is assumed: {error}")
         self.budget: ContactBudget = sections[BUDGET].resolve(self.arm)
         self.torque_limits: Array = sections["limits"].torque_share * self.arm.torque_limits
-        self.exceeded = Exceeded(self.budget)
-        self.signals = signals = read_signals(reader, self.arm, self.exceeded.watches)
+        self.signals = signals = read_signals(reader, self.arm)
         if not reader.message_count:
             notes.append("the bag has no messages")
         lost = reader.custom_data.get("messages_lost", "0")
@@ -221,13 +129,16 @@ class ReportBag:
         # One before the goal ends nothing.
         ends = [time for time in calls if time >= min(signals.goals.time, default=-np.inf)]
         end = min([*ends, max(signals.position.time, default=np.inf)])
-        self.episode: Episode | None = None
-        try:
-            self.episode = Episode(signals, self.arm, end, timeout, settle)
-        except BagError as error:
-            notes.append(f"no verdict: {error}")
-        self.zero = self.episode.start if self.episode is not None else 0.0
-        self.verdict, self.good = _verdict(signals, self.episode, end, is_known="/goal/state" in there)
+        if not np.isfinite(signals.position.values).all(axis=1).any():
+            notes.append("no verdict: holds no joint states of the arm; record joint_states")
+        self.distance = goal_distance(signals, self.arm)
+        self.has_goal = bool(len(self.distance.time))
+        self.zero = float(signals.goals.time[0]) if self.has_goal else 0.0
+        last = min(end, self.zero + timeout)
+        settled = signals.settled[(signals.settled >= self.zero) & (signals.settled <= last)]
+        self.reached = float(settled[0]) if self.has_goal and len(settled) else float("nan")
+        self.end = float(np.fmin(last, self.reached + settle))
+        self.verdict, self.good = self._verdict(end, is_known="/goal/state" in there)
         self.notes = tuple(dict.fromkeys(notes))
 
     @property
@@ -255,24 +166,37 @@ class ReportBag:
         """Start of the time range that charts show at first, s on the page."""
         return -min(BEFORE, self.zero)
 
+    def _verdict(self, end: float, is_known: bool) -> tuple[str, bool]:
+        """The outcome, and whether it is good; `end` is that of the bag, and goals' states are known or not."""
+        start, safety = self.zero if self.has_goal else -np.inf, self.signals.safety
+        # One that was released before the goal ends nothing.
+        held = {event.name: event for event in safety if event.time < start}
+        events = [*held.values(), *(event for event in safety if start <= event.time < end)]
+        stop = next((event for event in events if event.is_stop), None)
+        if stop is not None:
+            return f"stopped by the {stop.name}: {stop.message}", False
+        if not self.has_goal:
+            return "no goal in the bag", False
+        if not is_known:
+            return "unknown: the bag lacks goal/state", False
+        return ("goal not reached", False) if np.isnan(self.reached) else ("goal reached", True)
+
 
 def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
     """The numbers of the report with their units, by name; NaN where unknown. Those of the episode count to its end."""
-    signals, episode = bag.signals, bag.episode
-    start, end = (0.0, np.inf) if episode is None else (episode.start, episode.end)
-    ticks = signals.ticks[signals.ticks <= end]
-    contact, torque = (series.between(start, end) for series in (signals.contact_force, signals.external_torque))
+    signals, end = bag.signals, bag.end
+    ticks = signals.position.time[signals.position.time <= end]
+    contact, torque = (series.between(bag.zero, end) for series in (signals.contact_force, signals.external_torque))
     missed = signals.missed_ticks.between(-np.inf, end).values
     took = signals.plans.between(-np.inf, end).column("took ms")
     # Deviation of each tick from its time after the one before.
-    rate = signals.settings.get("driver", {}).get(RATE.name, RATE.default)
+    rate = bag.settings.get("driver", {}).get(RATE.name, RATE.default)
     period_ns = NANOSECONDS / rate if isinstance(rate, (int, float)) and rate > 0 else np.nan
     jitter_us = np.abs(np.diff(signals.state_sent_ns) - period_ns) / 1000.0
-    left = episode.distance.between(-np.inf, end).values[-1:] if episode is not None else np.zeros(0)
+    left = bag.distance.between(-np.inf, end).values[-1:]
     return {
-        "time to the goal": (np.nan if episode is None else episode.reached - start, "s"),
+        "time to the goal": (bag.reached - bag.zero, "s"),
         "distance at the end": (1000 * largest(left), "mm"),
-        "way to the goal": (np.nan if episode is None else 1000 * episode.way, "mm"),
         "largest contact force": (largest(contact.column("max")), "N"),
         "largest external torque": (largest(np.abs(torque.values)), "Nm"),
         "ticks": (float(len(np.unique(ticks))), ""),
@@ -284,13 +208,30 @@ def metrics(bag: ReportBag) -> dict[str, tuple[float, str]]:
         "plan takes p95": (percentile(took, 95.0), "ms"),
         "plan takes at most": (largest(took), "ms"),
         "greatest plan age": (1000 * largest(signals.plan_age(ticks)), "ms"),
-        "time above the permitted force": (bag.exceeded.time_above, "ms"),
-        "external torque, of what stops the arm": (100 * bag.exceeded.threshold_share, "%"),
+        "time above the permitted force": (_time_above(signals.contact_force, bag.budget), "ms"),
+        "external torque, of what stops the arm": (100 * _threshold_share(signals, bag.budget), "%"),
         "largest command, of its limit": (100 * largest(np.abs(signals.command.values) / bag.torque_limits), "%"),
         "tick jitter p50": (percentile(jitter_us, 50.0), "µs"),
         "tick jitter p99": (percentile(jitter_us, 99.0), "µs"),
         "plans": (float(len(signals.plans.time)), ""),
     }
+
+
+def _time_above(force: Series, budget: ContactBudget) -> float:
+    """Time with a contact force above the permitted force, ms; NaN without any force."""
+    if len(force.time) < 2:
+        return float("nan")
+    return float(1000.0 * np.diff(force.time)[force.column("max")[:-1] > budget.permitted_force].sum())
+
+
+def _threshold_share(signals: EpisodeSignals, budget: ContactBudget) -> float:
+    """Greatest ratio of any joint's external torque to the threshold that stops the arm at the joint's speed."""
+    torque, velocity = signals.external_torque, signals.velocity
+    thresholds = np.tile(budget.torque_thresholds, (len(torque.time), 1))
+    if len(velocity.time):
+        rows = np.minimum(np.searchsorted(velocity.time, torque.time), len(velocity.time) - 1)
+        thresholds += np.array(budget.torque_per_speed) * np.abs(np.nan_to_num(velocity.values[rows]))
+    return largest(np.abs(torque.values) / thresholds)
 
 
 def largest(values: Array) -> float:
@@ -332,21 +273,6 @@ def as_json(bag: ReportBag) -> dict[str, Any]:
         "plan_stop_reasons": dict(sorted(Counter(bag.signals.stop_reasons).items())),
         "topics": {name: topic.message_count for name, topic in sorted(bag.reader.topics.items())},
         "custom_data": dict(bag.reader.custom_data),
-        "settings": {node: dict(values) for node, values in bag.signals.settings.items()},
+        "settings": {node: dict(values) for node, values in bag.settings.items()},
         "notes": list(bag.notes),
     }
-
-
-def _verdict(signals: EpisodeSignals, episode: Episode | None, end: float, is_known: bool) -> tuple[str, bool]:
-    start = episode.start if episode is not None and episode.has_goal else -np.inf
-    # One that was released before the goal ends nothing.
-    held = {event.name: event for event in signals.safety if event.time < start}
-    events = [*held.values(), *(event for event in signals.safety if start <= event.time < end)]
-    stop = next((event for event in events if event.is_stop), None)
-    if stop is not None:
-        return f"stopped by the {stop.name}: {stop.message}", False
-    if episode is None or not episode.has_goal:
-        return "no goal in the bag", False
-    if not is_known:
-        return "unknown: the bag lacks goal/state", False
-    return ("goal not reached", False) if np.isnan(episode.reached) else ("goal reached", True)

@@ -32,9 +32,9 @@ _REASON_COLOURS = {"stagnated": BLUE, "max_steps": ORANGE, "deadline": VERMILION
 
 def distance_chart(bag: ReportBag) -> Chart:
     """Distance of the flange from the goal."""
-    if bag.episode is None or not bag.episode.has_goal:
+    if not bag.has_goal:
         return _chart(bag, [], "distance to the goal [m]")
-    distance = bag.episode.distance
+    distance = bag.distance
     data = [
         curve(distance.time - bag.zero, distance.column("distance"), "distance", BLUE, "m", width=1.8),
         _level(bag, TOLERANCE, f"tolerance, {TOLERANCE:g} m", GREEN),
@@ -224,9 +224,9 @@ def _chart(bag: ReportBag, data: list[Trace], title: str, **yaxis: Any) -> Chart
 
 def _mark_events(bag: ReportBag, data: list[Trace], layout: dict[str, Any]) -> None:
     """Mark the goal, its end and the safety events on the time axis: lines, and points with their texts."""
-    marks = [(0.0, BLUE, "goal sent")] if bag.episode is not None and bag.episode.has_goal else []
-    if bag.episode is not None and np.isfinite(bag.episode.reached):
-        marks.append((bag.episode.reached - bag.zero, GREEN, "settled at the goal"))
+    marks = [(0.0, BLUE, "goal sent")] if bag.has_goal else []
+    if np.isfinite(bag.reached):
+        marks.append((bag.reached - bag.zero, GREEN, "settled at the goal"))
     for event in bag.signals.safety:
         words = f"{event.name}: {event.message}"
         marks.append((event.time - bag.zero, _EVENT_COLOURS.get(event.level, GREY), words))

@@ -159,8 +159,8 @@ def _numbers(bags: Sequence[ReportBag]) -> dict[str, Any]:
 
 def _configuration(bags: Sequence[ReportBag]) -> list[dict[str, Any]]:
     """Settings of the nodes, custom data and numbers of messages of all bags, side by side."""
-    nodes = sorted({node for bag in bags for node in bag.signals.settings})
-    tables = [_table(node, [bag.signals.settings.get(node, {}) for bag in bags]) for node in nodes]
+    nodes = sorted({node for bag in bags for node in bag.settings})
+    tables = [_table(node, [bag.settings.get(node, {}) for bag in bags]) for node in nodes]
     tables.append(_table("kept with the bag", [bag.reader.custom_data for bag in bags]))
     counts = [{name: topic.message_count for name, topic in sorted(bag.reader.topics.items())} for bag in bags]
     return [*tables, _table("messages by topic", counts, mark=False)]

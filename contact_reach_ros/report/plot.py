@@ -34,8 +34,8 @@ def draw_episode(bag: ReportBag, title: str, file: Path) -> None:
         panel.spines[["top", "right"]].set_visible(False)
         panel.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9, borderaxespad=0.0)
     panels[2].set_xlabel("time since the goal was sent [s]")
-    if bag.episode is not None:
-        panels[2].set_xlim(bag.shown_from, bag.episode.end - bag.zero + _AFTER)
+    if np.isfinite(bag.end):
+        panels[2].set_xlim(bag.shown_from, bag.end - bag.zero + _AFTER)
     figure.subplots_adjust(left=0.09, right=0.76, top=0.93, bottom=0.075, hspace=0.12)
     figure.suptitle(title, x=0.09, y=0.98, ha="left", fontsize=12, fontweight="bold")
     figure.align_ylabels(panels)
@@ -65,12 +65,10 @@ def _values(numbers: Any) -> Any:
 
 def _draw_moments(panel: Axes, bag: ReportBag, with_labels: bool) -> None:
     """Draw a line for the goal, its reaching and each stop."""
-    if bag.episode is None:
-        return
-    moments = [("goal sent", 0.0, BLUE)] if bag.episode.has_goal else []
-    if np.isfinite(bag.episode.reached):
-        moments.append(("settled", bag.episode.reached - bag.zero, GREEN))
-    stops = [event for event in bag.signals.safety if event.is_stop and event.time < bag.episode.end]
+    moments = [("goal sent", 0.0, BLUE)] if bag.has_goal else []
+    if np.isfinite(bag.reached):
+        moments.append(("settled", bag.reached - bag.zero, GREEN))
+    stops = [event for event in bag.signals.safety if event.is_stop and event.time < bag.end]
     moments += [(f"{stop.name} stop", stop.time - bag.zero, VERMILION) for stop in stops]
     for label, time, colour in moments:
         line = panel.axvline(time, color=colour, linewidth=1.1, linestyle="--", zorder=1.5)

@@ -30,6 +30,7 @@ from contact_reach_ros.messages.safety_state import is_requested, is_stopped, st
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.messages.values import nanoseconds, read_settings
 from contact_reach_ros.planning.goal_progress import GoalPhase, GoalState
+from contact_reach_ros.ros.discovery import environment
 from contact_reach_ros.ros.graph import goal_topic, takes_commands
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.interfaces import ADAPTER, CONTROLLER, OBSERVER, OPERATOR, PLANNER, STOPPABLE
@@ -435,7 +436,8 @@ def connect(discovery: str = "host", namespace: str = "") -> Iterator[StackClien
 
     Raises `ContactReachError` if there is no planner, and no node that reports a safety state.
     """
-    with bare_node(OPERATOR, discovery, [OPERATOR, *in_namespace(namespace)]) as node:
+    os.environ.update(environment(discovery))
+    with bare_node(OPERATOR, [OPERATOR, *in_namespace(namespace)]) as node:
         client, name = StackClient(node), topics.SAFETY_STATE.name
         try:
             is_there = lambda: node.count_publishers(name) or client.reaches_planner()  # noqa: E731

@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -35,12 +36,12 @@ from contact_reach_ros.messages.topics import (
 )
 from contact_reach_ros.resources import VERSION
 from contact_reach_ros.ros.boundary import TRANSITIONS, Boundary
-from contact_reach_ros.ros.graph import LOOK_AROUND_S, mismatches, rivalry
+from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.lockstep import Lockstep
-from contact_reach_ros.ros.parameters import declare, overrides
+from contact_reach_ros.ros.parameters import declare, given_parameters
 from contact_reach_ros.ros.scheduling import Role
-from contact_reach_ros.settings import AUTOSTART, CPUS, RATE, ROBOT, Sections, declared_parameters, full_name
+from contact_reach_ros.settings import AUTOSTART, CPUS, OF_ROS, RATE, ROBOT, Sections, declared_parameters, full_name
 from contact_reach_ros.timing import NANOSECONDS
 
 _IDLE_NS = 100_000_000
@@ -78,8 +79,10 @@ class ManagedNode(LifecycleNode):
     """The command line of the process, which `run` sets."""
 
     def __init__(self) -> None:
-        super().__init__(self.NAME, parameter_overrides=overrides(self.ARGUMENTS, self.NAME))
-        own = declare(self, {entry.name: entry for entry in (AUTOSTART, CPUS, ROBOT, RATE)})
+        given = given_parameters(self.ARGUMENTS, self.NAME)
+        of_ros = [Parameter(name, value=given[name]) for name in OF_ROS if name in given]
+        super().__init__(self.NAME, parameter_overrides=of_ros)
+        own = declare(self, {entry.name: entry for entry in (AUTOSTART, CPUS, ROBOT, RATE)}, given)
         self.autostart, self.cpus, robot, rate = own.values()
         self.lockstep = bool(self.get_parameter(_SIMULATED).value)
         self.set_descriptor(_SIMULATED, ParameterDescriptor(read_only=True, dynamic_typing=True))
@@ -89,7 +92,7 @@ class ManagedNode(LifecycleNode):
         self._bare_arm = load_arm(robot)
         self.period = 1.0 / rate
         sections = {**EVERY_SECTION, **self.SECTIONS}
-        values = declare(self, declared_parameters(sections, self._bare_arm))
+        values = declare(self, declared_parameters(sections, self._bare_arm), given)
         self.settings = make_settings(values, sections, self._bare_arm, f"parameters of {self.NAME}")
         self.arm = self._bare_arm.with_tool(self.settings[TOOL])
         self.boundary = Boundary(self.say, self.on_fault)
@@ -101,7 +104,6 @@ class ManagedNode(LifecycleNode):
         self._diagnostics = self.make_publisher(DIAGNOSTICS)
         self._settings_publisher = self.make_publisher(SETTINGS)
         self._stop = threading.Event()
-        self._counts: dict[tuple[str, str], int] = {}
         self._lines: deque[str] = deque()
         self._said = self.create_guard_condition(self.write_out)
         self.every(1.0, self._publish_diagnostics)
@@ -340,8 +342,6 @@ class ManagedNode(LifecycleNode):
 
     def _publish_diagnostics(self) -> None:
         self._log_refusals()
-        for line in mismatches(self, self.inbox.subscriptions, self._counts):
-            self.get_logger().warning(line)
         summary, values = self.diagnosis()
         shown = {key: f"{value:.6g}" if isinstance(value, float) else value for key, value in values.items()}
         shown |= {f"refused {what}": count for what, count in self.refused.items()}

@@ -9,7 +9,6 @@ from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
 
 from contact_reach_ros.arm import Arm
@@ -29,28 +28,25 @@ from contact_reach_ros.settings import (
 )
 
 
-def declare(node: Node, entries: Mapping[str, Setting]) -> dict[str, Any]:
-    """Declare settings, by their full names, as parameters of a node; returns their values.
+def declare(node: Node, entries: Mapping[str, Setting], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Declare settings as parameters of a node; returns their values by full name: those given, or the defaults.
 
     Raises `SettingsError` if a value is not accepted.
     """
     values = {}
     for name, entry in entries.items():
+        value = entry.default if given.get(name) is None else given[name]
+        values[name] = checked = entry.check(value, f"parameter {name} of {node.get_name()}")
         unit = f" [{entry.unit}]" if entry.unit else ""
         descriptor = ParameterDescriptor(
             description=f"{entry.description}{unit}",
             additional_constraints=entry.accepts,
             read_only=not entry.changeable,
-            # `check` accepts a whole number for a float, too; but ROS cannot tell the type of an empty list.
-            dynamic_typing=not entry.is_open_list,
+            # `check` accepts a whole number for a float, too.
+            dynamic_typing=True,
         )
-        default = list(entry.default) if isinstance(entry.default, tuple) else entry.default
-        if entry.is_open_list:
-            texts = node.declare_parameter(name, Parameter.Type.STRING_ARRAY, descriptor).value
-            value = [text for text in texts or [] if text]
-        else:
-            value = node.declare_parameter(name, default, descriptor).value
-        values[name] = entry.check(value, f"parameter {name} of {node.get_name()}")
+        # ROS cannot tell the type of an empty list.
+        node.declare_parameter(name, (list(checked) or None) if isinstance(checked, tuple) else checked, descriptor)
     return values
 
 
@@ -78,13 +74,6 @@ def check_arguments(arguments: Sequence[str], node_name: str, sections: Sections
 def given_parameters(arguments: Sequence[str], node_name: str) -> dict[str, Any]:
     """The parameters of a node on a command line, unchecked; raises `SettingsError` if a file cannot be read."""
     return _merged(_given(arguments, node_name, ["", node_name]))
-
-
-def overrides(arguments: Sequence[str], node_name: str) -> list[Parameter]:
-    """What a command line gives to a node, which gets it from here alone, see `without_parameters`."""
-    values = given_parameters(arguments, node_name)
-    # A missing value is the default, and ROS cannot tell the type of an empty list.
-    return [Parameter(name, value=_alike(value)) for name, value in values.items() if value is not None and value != []]
 
 
 def without_parameters(arguments: Sequence[str]) -> list[str]:
@@ -158,12 +147,6 @@ def _given(arguments: Sequence[str], node_name: str, owners: Collection[str]) ->
             if owner in owners:
                 where = f"argument {option} {argument}"
                 yield where, {name: parse_yaml(text, where)}
-
-
-def _alike(value: Any) -> Any:
-    """A list of numbers with all of one type, as ROS wants them."""
-    is_mixed = isinstance(value, list) and {type(item) for item in value} == {int, float}
-    return [float(item) for item in value] if is_mixed else value
 
 
 def _merged(given: Iterable[_Given]) -> dict[str, Any]:

@@ -59,7 +59,7 @@ def run(node_class: type[ManagedNode], arguments: Sequence[str]) -> int:
         namespace = namespace_in(arguments)
         # Behind the user's: of the remappings of a name the first one holds.
         initialise([*arguments, "--ros-args", "-r", "/clock:=clock"])
-        node_class.ARGUMENTS = arguments
+        ManagedNode.ARGUMENTS = arguments
         node = node_class()
         if node.get_namespace() != namespace:
             raise SettingsError(f"ROS put the node into {node.get_namespace()}; expected one -r __ns:=/NAMESPACE")
@@ -68,25 +68,19 @@ def run(node_class: type[ManagedNode], arguments: Sequence[str]) -> int:
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
         return 2
     finally:
-        node_class.ARGUMENTS = ()
+        ManagedNode.ARGUMENTS = ()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
 
 
-def initialise(arguments: Sequence[str], discovery: str = "host") -> None:
-    """Start rclpy; signals are left to the caller.
+def initialise(arguments: Sequence[str]) -> None:
+    """Start rclpy with a command line, program name first; signals are left to the caller.
 
-    Raises `SettingsError` if ROS does not understand the arguments, or cannot write its log.
-
-    Parameters
-    ----------
-    arguments
-        Command line, program name first.
-    discovery
-        How far its nodes can be heard, one of `discovery.CHOICES`, unless the environment sets it.
+    Nobody beyond this host hears its nodes unless the environment says so. Raises `SettingsError` if ROS does not
+    understand the arguments, or cannot write its log.
     """
-    os.environ.update(environment(discovery))
+    os.environ.update(environment())
     without_ros_arguments(arguments)
     try:
         rclpy.init(args=without_parameters(arguments), signal_handler_options=SignalHandlerOptions.NO)
@@ -102,21 +96,12 @@ def in_namespace(namespace: str) -> list[str]:
 
 
 @contextlib.contextmanager
-def bare_node(name: str, discovery: str = "host", arguments: Sequence[str] = ()) -> Iterator[Node]:
+def bare_node(name: str, arguments: Sequence[str] = ()) -> Iterator[Node]:
     """A node without a lifecycle, for a tool or a supervisor; ROS ends with it.
 
-    Raises `ContactReachError` if ROS does not start it.
-
-    Parameters
-    ----------
-    name
-        Of the node.
-    discovery
-        How far it can be heard, as for `initialise`.
-    arguments
-        Command line, program name first; ROS gets only the node's name when empty.
+    The arguments are a command line, program name first. Raises `ContactReachError` if ROS does not start it.
     """
-    initialise(arguments or [name], discovery)
+    initialise(arguments or [name])
     with contextlib.ExitStack() as end:
         end.callback(rclpy.try_shutdown)
         try:
@@ -139,12 +124,15 @@ def described(robot: str, node_name: str, discovery: str = "host", arguments: Se
         A name or path, as for `load_arm`, or what stands for a description, see `options_of`.
     node_name
         Of the node that asks.
-    discovery, arguments
-        As for `bare_node`: in whose namespace, and with which remappings.
+    discovery
+        How far it can be heard, one of `discovery.CHOICES`, unless the environment says so.
+    arguments
+        Its command line, program name first: in whose namespace, and with which remappings.
     """
     if options_of(robot) is None:
         return robot
-    with bare_node(f"{node_name}_description", discovery, arguments) as node:
+    os.environ.update(environment(discovery))
+    with bare_node(f"{node_name}_description", arguments) as node:
         return description_file(node, robot)
 
 

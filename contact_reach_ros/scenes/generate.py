@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 from collections import Counter
 from collections.abc import Iterator
 
@@ -20,11 +19,9 @@ from contact_reach_ros.scenes.fitting import fitted
 from contact_reach_ros.scenes.placing import free_path, on_hand, on_middle, place
 from contact_reach_ros.world.collision import check_goal, check_hand, nearest, overlap_depths
 from contact_reach_ros.world.goal import FREE, Goal, Target
-from contact_reach_ros.world.obstacle import MeshSettings, Obstacle, WallSettings, bodies
+from contact_reach_ros.world.obstacle import Obstacle, WallSettings, bodies
 from contact_reach_ros.world.scene import MismatchSettings, Scene
 from contact_reach_ros.world.scene_file import SceneFile, read_scene
-
-_log = logging.getLogger(__name__)
 
 _TARGET_TRIES, _TARGET_TRIES_WITH_WALLS = 200, 20
 """Numbers of targets that are tried: few with walls, because the search for their place takes long."""
@@ -97,7 +94,6 @@ def make_scene(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None = 
     SettingsError
         If the start is not within the limits of the arm's joints, or the arm has no such inertia set.
     """
-    _warn_of_openings(file, arm)
     arm = file.equipped(arm)
     own, frame = standing(arm) if file.target.reach else arm, scene_frame(arm)
     try:
@@ -113,18 +109,6 @@ def make_scene(file: SceneFile, arm: Arm, seed: int, target: ArrayLike | None = 
         # What is wrong with a given target is not the file's.
         instead = "" if target is None else f" (with the target {np.array(target).tolist()} in place of the scene's)"
         raise kind(f"{file.source or file.name}: {error}{instead}{where}") from error
-
-
-def _warn_of_openings(file: SceneFile, arm: Arm) -> None:
-    """Log a warning for each lattice that lets the thinnest capsule of the arm, or of its tool, through."""
-    thinnest = min(arm.capsules, key=lambda capsule: capsule.radius)
-    for section in file.obstacles:
-        if isinstance(section, MeshSettings) and section.opening > 2.0 * thinnest.radius:
-            _log.warning(
-                f"{file.source or file.name}: {section.KIND}: the capsule on {arm.link_names[thinnest.link - 1]}, "
-                f"{2.0 * thinnest.radius:.3f} m thick, passes between its nodes without touching them; give it more "
-                f"nodes, or a node_radius that leaves less than the {section.opening:.3f} m between four of them"
-            )
 
 
 def _moved(scene: Scene, arm: Arm, frame: SceneFrame) -> Scene:

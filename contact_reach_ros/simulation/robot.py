@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from contact_reach_ros.arm import Array, JointState, checked_torque
-from contact_reach_ros.arm.model import RobotModel
-from contact_reach_ros.errors import InputError, StopCode, StopReason
+from contact_reach_ros.errors import StopCode, StopReason
 from contact_reach_ros.simulation.plant import Actuation, Plant
 from contact_reach_ros.simulation.settings import TICK, TICK_NS, WatchdogSettings, check_period
 from contact_reach_ros.timing import NANOSECONDS
@@ -32,8 +31,7 @@ class SimulatedRobot:
     trigger the damped hold, and `STOP_AFTER` seconds a stop that is latched until `reset`. A joint that is too fast by
     the drive's own sensors triggers a stop too, even if the joint states that it sends are faulty.
 
-    With `enabled: false` it does not watch for silence, and holds the last torque for ever. With `carries: true` it
-    carries the arm itself, by its own model: commands are on top of that.
+    With `enabled: false` it does not watch for silence, and holds the last torque for ever.
 
     Attributes
     ----------
@@ -41,8 +39,6 @@ class SimulatedRobot:
         The physics.
     stop_reason
         Why the drive stopped the arm; empty while it does not.
-    rejected
-        Number of refused commands.
     is_open
         Whether the arm has been handed over: the brakes are open, or were before a stop.
     start_ns
@@ -84,7 +80,6 @@ class SimulatedRobot:
         self.scene = scene
         self.plant = plant or Plant(scene, noise_seed=noise_seed)
         self.stop_reason = ""
-        self.rejected = 0
         self.is_open = False
         self.start_ns = 0
         settings, arm = watchdog or WatchdogSettings(), self.plant.arm
@@ -92,7 +87,6 @@ class SimulatedRobot:
         self._hold_ns = int(HOLD_AFTER * NANOSECONDS)
         self._stop_ns = int(STOP_AFTER * NANOSECONDS)
         self._watches_silence = settings.enabled
-        self._model = RobotModel(arm) if settings.carries else None
         self._speed_limits = [(settings.speed_share or math.inf) * limit for limit in arm.velocity_limits.tolist()]
         self._command: Array | None = None
         self._command_ns = self._steady_since_ns = 0
@@ -120,30 +114,23 @@ class SimulatedRobot:
     def command(self, torque: Array, clock_ns: int) -> None:
         """Take a command (n,), N m, that arrived at `clock_ns`, the time of the watchdogs' clock.
 
-        Raises `InputError` if it has the wrong size or is not finite; it is counted, and the last one stays in force.
+        Raises `InputError` if it has the wrong size or is not finite; the last one stays in force.
         """
-        try:
-            checked_torque(torque, self.plant.arm.n)
-        except InputError:
-            self.rejected += 1
-            raise
+        checked_torque(torque, self.plant.arm.n)
         if self._command is None or clock_ns - self._command_ns > self._hold_ns:
             self._steady_since_ns = clock_ns
         self._command = torque
         self._command_ns = clock_ns
 
-    def step(self, clock_ns: int) -> list[InputError]:
-        """Advance by one period; returns the errors of commands that were refused on arrival: here, none is late."""
-        return [error for tick in range(self._ticks) for error in self._tick(clock_ns + tick * TICK_NS)]
+    def step(self, clock_ns: int) -> None:
+        """Advance by one period."""
+        for tick in range(self._ticks):
+            self._tick(clock_ns + tick * TICK_NS)
 
-    def _tick(self, clock_ns: int) -> list[InputError]:
+    def _tick(self, clock_ns: int) -> None:
         """Advance the plant by one tick under the present command."""
         self.plant.set_actuation(self._actuation(clock_ns))
-        torque = self._command
-        if torque is not None and self._model is not None:
-            torque = torque + self._model.gravity_at(self.plant.joint_positions)
-        self.plant.step(torque)
-        return []
+        self.plant.step(self._command)
 
     def _actuation(self, clock_ns: int) -> Actuation:
         """What moves the joints now; stops where the commands are silent, or a joint is too fast."""

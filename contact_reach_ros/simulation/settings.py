@@ -38,9 +38,6 @@ class WatchdogSettings(Settings):
         minimum=0.0,
         maximum=2.0,
     )
-    carries: bool = setting(
-        False, "the drive carries the arm's weight, as those of KUKA and Franka do: commands are on top of that"
-    )
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,6 @@ from contact_reach_ros.palette import ORANGE, VERMILION, as_bytes
 _BODY, _COVER, _DARK = "#DBDEE0", "#F2731A", "#383B40"
 _COVER_RADIUS = 0.62
 """Radius of a joint's cover, in radii of the link."""
-_PLATE = 0.03
-"""Thickness of the plate below the base, m."""
 _AROUND = 36
 """Number of corners of a circle."""
 _SHARES = (0.0, 0.5, 1.0)
@@ -30,7 +28,7 @@ class ArmView:
         self._scene = server.scene
         self._frames = [server.scene.add_frame(f"/arm/{link}", show_axes=False) for link in range(arm.n + 1)]
         self._tinted: list[list[Any]] = [[] for _ in arm.joints]
-        base = [self._add_fixed(f"/arm/0/fixed{number}", capsule) for number, capsule in enumerate(arm.base_capsules)]
+        base = [self._add(f"/arm/0/fixed{number}", capsule, _BODY) for number, capsule in enumerate(arm.base_capsules)]
         thickness = max((capsule.radius for capsule in arm.base_capsules[-1:]), default=0.0)
         for number, capsule in enumerate(arm.capsules):
             colour, axis = _DARK if capsule.link == arm.n else _BODY, np.subtract(capsule.end, capsule.start)
@@ -56,16 +54,6 @@ class ArmView:
         for share, handles in zip(shares.tolist(), self._tinted, strict=True):
             for handle in handles:
                 handle.color = share_colour(share)
-
-    def _add_fixed(self, name: str, capsule: Capsule) -> Any:
-        """Add a capsule that does not move; on a plate without its lower end if that reaches through the ground."""
-        start, end, radius = np.array(capsule.start, float), np.array(capsule.end, float), capsule.radius
-        if not np.array_equal(start[:2], end[:2]) or not 0.0 <= min(start[2], end[2]) <= radius:
-            return self._add(name, capsule, _BODY)
-        (x, y), top, body = start[:2], max(start[2], end[2]), as_bytes(_BODY)
-        self._scene.add_cylinder(f"{name}/plate", 1.15 * radius, _PLATE, as_bytes(_DARK), position=(x, y, 0.5 * _PLATE))
-        self._scene.add_icosphere(f"{name}/top", radius, body, position=(x, y, top))
-        return self._scene.add_cylinder(f"{name}/body", radius, top, body, position=(x, y, 0.5 * top))
 
     def _add(self, name: str, capsule: Capsule, colour: str) -> Any:
         axis = np.subtract(capsule.end, capsule.start)

@@ -11,34 +11,11 @@ import numpy as np
 from contact_reach_ros.arm import Arm, Array, link_frames
 from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.plan_reader import PlanPicture
-from contact_reach_ros.messages.safety_state import ERROR, WARN, is_stopped, read_contact, read_level
+from contact_reach_ros.messages.safety_state import SafetyState
 from contact_reach_ros.messages.values import FARTHEST, goal_in, numbers
-from contact_reach_ros.observer.location import Contact
 from contact_reach_ros.timing import NANOSECONDS
 from contact_reach_ros.viewer.plots import History
 from contact_reach_ros.world.spheres import Spheres
-
-
-@dataclasses.dataclass(frozen=True)
-class SafetyStatus:
-    """Safety state of one node, with the contact that the observer has located, if any.
-
-    The level is OK, WARN for a contact, or ERROR for a stop.
-    """
-
-    level: int
-    message: str
-    contact: Contact | None = None
-
-
-def safety_status(message: Any, arm: Arm) -> SafetyStatus:
-    """The state of a node in a safety_state message, or any object with its fields; leaves out a malformed contact."""
-    try:
-        contact = read_contact(message, arm)
-    except InputError:
-        contact = None
-    level = ERROR if is_stopped(message) else min(read_level(message), WARN)
-    return SafetyStatus(level, message.message, contact)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +49,7 @@ class Frame:
     plan: PlanPicture | None = None
     forces: Mapping[str, float] = dataclasses.field(default_factory=dict)
     goal: Array | None = None
-    safety: Mapping[str, SafetyStatus] = dataclasses.field(default_factory=dict)
+    safety: Mapping[str, SafetyState] = dataclasses.field(default_factory=dict)
 
 
 class LiveState:
@@ -96,7 +73,7 @@ class LiveState:
     def __init__(self, arm: Arm, clock: float) -> None:
         self._arm = arm
         self.history = History(arm.joint_names)
-        self.safety: dict[str, SafetyStatus] = {}
+        self.safety: dict[str, SafetyState] = {}
         self._heard = clock
         self._frame = Frame(0.0, np.full(arm.n, np.nan), safety=self.safety)
         self._peak = np.nan

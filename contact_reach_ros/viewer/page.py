@@ -228,7 +228,7 @@ def _banner_text(frame: Frame | None, silence: float | None) -> tuple[int | None
         more = "the stack is not running, or starting" if frame is None else "the picture is out of date"
         return None, f"no joint_states for {silence:.0f} s", more
     assert frame is not None
-    stops = [f"{name}: {status.message}" for name, status in frame.safety.items() if status.level == ERROR]
+    stops = [f"{name}: {status.message}" for name, status in frame.safety.items() if status.is_stop]
     if stops:
         return ERROR, "STOPPED", "; ".join(stops)
     touched = [status for status in frame.safety.values() if status.level == WARN]

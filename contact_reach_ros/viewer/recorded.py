@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import bisect
 from collections.abc import Callable, Iterator, Sequence
-from operator import itemgetter
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -13,12 +12,12 @@ from numpy.typing import NDArray
 
 from contact_reach_ros.arm import Arm, Array
 from contact_reach_ros.bags.reader import BagReader, RawMessage
-from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent, Series, arm_of_bag, goal_distance, read_signals
+from contact_reach_ros.bags.signals import EpisodeSignals, Series, arm_of_bag, goal_distance, read_signals
 from contact_reach_ros.errors import BagError, InputError
 from contact_reach_ros.messages.obstacle_reader import ObstacleMarkerReader
 from contact_reach_ros.messages.plan_reader import PlanPicture, read_plan
-from contact_reach_ros.messages.safety_state import WARN
-from contact_reach_ros.viewer.frame import Frame, safety_status
+from contact_reach_ros.messages.safety_state import WARN, SafetyState
+from contact_reach_ros.viewer.frame import Frame
 from contact_reach_ros.viewer.plots import SPAN
 
 _PICTURES, _OBSTACLES = "/plan/markers", "/obstacles"
@@ -91,8 +90,8 @@ class Recording:
         self._received_ns = {topic: self._reception_times(topic) for topic in (_PICTURES, _OBSTACLES)}
         self._message_times = {topic: signals.clock.of_receptions(ns) for topic, ns in self._received_ns.items()}
         self._kept: dict[str, tuple[int, Any]] = {}
-        self._safety = sorted(signals.safety_states, key=itemgetter(0))
-        self._safety_times = np.array([time for time, _ in self._safety])
+        self._safety = sorted(signals.safety_states, key=attrgetter("time"))
+        self._safety_times = np.array([state.time for state in self._safety])
         found = [
             *_goal_events(signals.goals, "goal", "goal"),
             *_goal_events(signals.refused_goals, "refused", "refused goal"),
@@ -108,7 +107,6 @@ class Recording:
         torque = _row(signals.external_torque.time, time)
         force = _row(signals.contact_force.time, time)
         goal = _row(signals.goals.time, time)
-        newest = {message.name: message for _, message in self._safety[: _row(self._safety_times, time) + 1]}
         return Frame(
             time=float(self.ticks[tick]),
             q=self._q[tick],
@@ -119,7 +117,7 @@ class Recording:
             if force >= 0
             else {},
             goal=signals.goals.values[goal] if goal >= 0 else None,
-            safety={message.name: safety_status(message, self.arm) for message in newest.values()},
+            safety={state.name: state for state in self._safety[: _row(self._safety_times, time) + 1]},
         )
 
     def tick(self, time: float) -> int:
@@ -159,22 +157,10 @@ class Recording:
 
 
 def _increasing(times: Array) -> NDArray[np.intp]:
-    """Places of as many of the times (n,) as possible, in order, of which each is later than the one before."""
-    if (np.diff(times) > 0.0).all():
-        return np.arange(len(times))
-    # By the length of a sequence, the earliest time that ends one, and its place; each place knows the one before it.
-    ends: list[float] = []
-    places: list[int] = []
-    before = np.full(len(times), -1)
-    for place, time in enumerate(times.tolist()):
-        length = bisect.bisect_left(ends, time)
-        before[place] = places[length - 1] if length else -1
-        ends[length : length + 1], places[length : length + 1] = [time], [place]
-    last, found = places[-1], []
-    while last >= 0:
-        found.append(last)
-        last = before[last]
-    return np.array(found[::-1])
+    """Places of times (n,) that are later than all before, or earlier than all behind, whichever are more."""
+    before = np.append(-np.inf, np.maximum.accumulate(times))[:-1]
+    behind = np.append(np.minimum.accumulate(times[::-1])[::-1], np.inf)[1:]
+    return max(np.flatnonzero(times > before), np.flatnonzero(times < behind), key=len)
 
 
 def _row(times: Array, time: float) -> int:
@@ -191,7 +177,7 @@ def _goal_events(goals: Series, kind: str, words: str) -> Iterator[Event]:
             yield Event(time, kind, f"{words} {np.round(position, 3).tolist()} m")
 
 
-def _stop_events(states: Sequence[SafetyEvent]) -> Iterator[Event]:
+def _stop_events(states: Sequence[SafetyState]) -> Iterator[Event]:
     """Stops and releases of each node."""
     stopped: dict[str, bool] = {}
     for state in states:

@@ -19,10 +19,11 @@ class ViewerSettings(Settings):
     port: int = setting(8080, "port of 127.0.0.1 to listen on; 0 takes a free one", minimum=0, maximum=65535)
     bag: str = setting("", "bag to show instead of the running stack")
 
-    def page_address(self, port: int) -> str:
-        """URL of the page for browsers on this machine."""
-        return f"http://{ADDRESS}:{port}"
-
 
 VIEWER_SECTIONS: Sections = {"": ViewerSettings}
 """Settings of the viewer by parameter prefix."""
+
+
+def page_address(port: int) -> str:
+    """URL of the page for browsers on this machine."""
+    return f"http://{ADDRESS}:{port}"

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from contact_reach_ros.arm import Arm, Array, checked_array, rotation_from_quaternion
-from contact_reach_ros.arm.inverse_kinematics import unreachable
 from contact_reach_ros.arm.kinematics import AXIS, POSITION
 from contact_reach_ros.errors import InputError
 
@@ -103,16 +102,14 @@ class Goal:
     Raises
     ------
     InputError
-        If position, orientation or tolerance has the wrong type or shape.
+        If position, orientation or tolerance has the wrong type or shape, or a value is not finite.
     """
 
     position: ArrayLike
-    """(3,), m."""
+    """(3,), m, base frame."""
     orientation: str | ArrayLike = HOLD
     """'hold' for the orientation that the tip has when the goal is given, 'free' for any, which is held once the tip
     is there, or a unit quaternion (x, y, z, w)."""
-    frame: str = field(default="", kw_only=True)
-    """Frame of position and orientation; it must be the arm's base frame, the default."""
     tolerance: float = field(default=TOLERANCE, kw_only=True)
     """Distance from the position that counts as reached, m."""
     angle_tolerance: float = field(default=ANGLE_TOLERANCE, kw_only=True)
@@ -121,7 +118,7 @@ class Goal:
     """Speed of the tip up to which it is at rest, m/s."""
 
     def __post_init__(self) -> None:
-        _check_numbers("position", self.position, 3, "three numbers x, y, z in m")
+        _check_numbers("position", self.position, 3, "three finite numbers x, y, z in m")
         expected = f"'{HOLD}', '{FREE}' or a unit quaternion x, y, z, w"
         if not isinstance(self.orientation, str):
             _check_numbers("orientation", self.orientation, 4, expected)
@@ -141,22 +138,21 @@ class Goal:
         Raises
         ------
         InputError
-            If a value is not finite or not a unit quaternion, the frame is unknown, or the position is out of reach or
-            inside the base; the message names the field and the expectation.
+            If the orientation is no unit quaternion, or the position is out of reach; the message names the field and
+            the expectation.
         """
         position = np.array(self.position, dtype=float)
-        if self.frame not in ("", arm.base_frame):
-            raise InputError(f"goal: frame '{self.frame}' is unknown; expected '{arm.base_frame}'")
-        if not np.isfinite(position).all():
-            raise InputError(f"goal: position = {position.tolist()}; expected finite numbers in m")
-        reason = unreachable(arm, position)
-        if reason:
-            raise InputError(f"goal: position {reason}")
+        distance = math.dist(position.tolist(), arm.shoulder)
+        if distance > arm.reach:
+            raise InputError(
+                f"goal: position is {distance:.4g} m from the shoulder at {list(arm.shoulder)} m; the arm reaches "
+                f"{arm.reach} m"
+            )
         if isinstance(self.orientation, str):
             return Target(position, present_rotation if self.orientation == HOLD else None).of_task(arm.task)
         quaternion = np.array(self.orientation, dtype=float)
         length = float(np.linalg.norm(quaternion))
-        if not (np.isfinite(length) and abs(length - 1.0) < 0.01):
+        if not abs(length - 1.0) < 0.01:
             raise InputError(f"goal: orientation = {quaternion.tolist()}; expected a unit quaternion x, y, z, w")
         return Target(position, rotation_from_quaternion(np.roll(quaternion, 1))).of_task(arm.task)
 
@@ -171,9 +167,10 @@ class Goal:
 
 
 def _check_numbers(name: str, values: ArrayLike, count: int, expected: str) -> None:
-    """Raise `InputError` unless there are exactly `count` numbers, finite or not."""
+    """Raise `InputError` unless there are exactly `count` finite numbers."""
     try:
-        fits = np.asarray(values, dtype=float).shape == (count,)
+        array = np.asarray(values, dtype=float)
+        fits = array.shape == (count,) and np.isfinite(array).all()
     except (TypeError, ValueError):
         fits = False
     if not fits:

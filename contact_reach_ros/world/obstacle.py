@@ -18,10 +18,6 @@ from contact_reach_ros.arm import Array
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.settings import Settings, setting
 
-_WALL_HARDENING = 0.3
-"""Of the springs in a wall: with it and the default stiffness, nodes pressed with 10 N yield within 15 % as far as
-those of the planner's mesh, which does not harden."""
-
 _ALONG = np.linspace(0.0, 1.0, 21)
 """Places along a link, as shares of its length."""
 BOTTOM, MIDDLE = "bottom", "middle"
@@ -127,11 +123,6 @@ class ObstacleSettings(Settings, ABC):
     contact_stiffness: float = setting(1000.0, "stiffness of its surface", unit="N/m", minimum=50.0, maximum=50000.0)
     friction: float = setting(0.2, "sliding friction coefficient", minimum=0.0, maximum=2.0)
 
-    @property
-    @abstractmethod
-    def material(self) -> Material:
-        """Material of its spheres and edges."""
-
     def drawn(self, random: np.random.Generator) -> ObstacleSettings:
         """These settings with what they leave to the seed."""
         return self
@@ -157,14 +148,10 @@ class BallSettings(ObstacleSettings):
     damping: float = setting(30.0, "damping of its motion", unit="N s/m", minimum=0.0, maximum=500.0)
     fixed: bool = setting(False, "whether it stays where it is, whatever pushes it")
 
-    @property
-    def material(self) -> Material:
-        """Material of the ball."""
-        return Material(self.mass, self.stiffness, self.damping, self.contact_stiffness, self.friction)
-
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The ball at `center` (3,), m."""
-        return (Obstacle(self.KIND, "the ball", center[None], self.radius, self.material, np.array([self.fixed])),)
+        material = Material(self.mass, self.stiffness, self.damping, self.contact_stiffness, self.friction)
+        return (Obstacle(self.KIND, "the ball", center[None], self.radius, material, np.array([self.fixed])),)
 
 
 @dataclass(frozen=True)
@@ -173,6 +160,9 @@ class MeshSettings(ObstacleSettings):
 
     The surfaces of the outer nodes touch the sides of the box. Edges hold the nodes, one level of which is fixed.
     """
+
+    HARDENING: ClassVar[float] = 0.0
+    """Of the springs in the simulation, as `Material.hardening`."""
 
     size: tuple[float, ...] = setting((0.2, 0.2, 0.3), "size along x, y, z", unit="m", minimum=0.02, maximum=3.0)
     nodes: tuple[int, ...] = setting((3, 3, 4), "number of nodes along x, y, z", minimum=2, maximum=50)
@@ -183,24 +173,11 @@ class MeshSettings(ObstacleSettings):
     )
     damping: float = setting(5.0, "damping of a node's motion", unit="N s/m", minimum=0.1, maximum=500.0)
 
-    @property
-    def material(self) -> Material:
-        """Material of nodes and edges."""
-        return Material(
-            self.node_mass, 0.0, self.damping, self.contact_stiffness, self.friction, edge_stiffness=self.edge_stiffness
-        )
-
     def points(self, center: Array) -> Array:
         """Centres of the nodes (N, 3), m, z counting fastest, of a box around `center` (3,)."""
         extents = 0.5 * np.array(self.size) - self.node_radius
         axes = [np.linspace(-extent, extent, count) for extent, count in zip(extents, self.nodes, strict=True)]
         return center + np.array(list(itertools.product(*axes)))
-
-    @property
-    def opening(self) -> float:
-        """Diameter of the largest ball that passes between four nodes without moving them, m; not positive for none."""
-        steps = (np.array(self.size) - 2.0 * self.node_radius) / (np.array(self.nodes) - 1)
-        return float(np.hypot(*np.sort(steps)[1:])) - 2.0 * self.node_radius
 
     def edges(self) -> NDArray[np.intp]:
         """Pairs (E, 2) of neighbours along the three axes."""
@@ -211,7 +188,16 @@ class MeshSettings(ObstacleSettings):
     def _body(self, name: str, points: Array, held: tuple[slice | int, ...]) -> Obstacle:
         fixed = np.zeros(self.nodes, bool)
         fixed[held] = True
-        return Obstacle(self.KIND, name, points, self.node_radius, self.material, fixed.ravel(), edges=self.edges())
+        material = Material(
+            self.node_mass,
+            0.0,
+            self.damping,
+            self.contact_stiffness,
+            self.friction,
+            self.edge_stiffness,
+            self.HARDENING,
+        )
+        return Obstacle(self.KIND, name, points, self.node_radius, material, fixed.ravel(), edges=self.edges())
 
 
 @dataclass(frozen=True)
@@ -250,15 +236,13 @@ class WallSettings(MeshSettings):
     """
 
     KIND: ClassVar[str] = "wall"
+    HARDENING: ClassVar[float] = 0.3
+    """With it and the default stiffness, nodes pressed with 10 N yield within 15 % as far as those of the planner's
+    mesh, which does not harden."""
 
     size: tuple[float, ...] = setting((0.1, 1.0, 0.2), "size of one wall: x, y, z", unit="m", minimum=0.02, maximum=3.0)
     nodes: tuple[int, ...] = setting((2, 11, 3), "number of nodes of one wall along x, y, z", minimum=2, maximum=50)
     gap: float = setting(0.15, "gap between the walls", unit="m", minimum=0.0, maximum=1.0)
-
-    @property
-    def material(self) -> Material:
-        """Material of both walls."""
-        return dataclasses.replace(super().material, hardening=_WALL_HARDENING)
 
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The lower and the upper wall around a gap whose centre is at `center` (3,), m."""

@@ -15,7 +15,7 @@ from contact_reach_ros.arm import Arm, Array, checked_array, quaternion_from_rot
 from contact_reach_ros.arm.tool import NO_TOOL, Tool
 from contact_reach_ros.errors import ContactReachError, InputError, SceneError, SettingsError
 from contact_reach_ros.resources import share_directory
-from contact_reach_ros.settings import Problems, Settings, read_yaml, setting, unknown_key
+from contact_reach_ros.settings import Settings, read_yaml, setting, unknown_key
 from contact_reach_ros.world.goal import FREE, HOLD
 from contact_reach_ros.world.obstacle import (
     BallSettings,
@@ -212,10 +212,8 @@ def _read(file: Path, above: Sequence[Path]) -> dict[str, Any]:
     content = read_yaml(file)
     base = content.pop(BASE, None)
     found = {} if base is None else _read_base(file, base, above)
-    with Problems() as problems:
-        for key, values in content.items():
-            with problems.noted():
-                found[key] = _section(file, str(key), values, found.get(key))
+    for key, values in content.items():
+        found[key] = _section(file, str(key), values, found.get(key))
     return found
 
 
@@ -247,14 +245,12 @@ def _read_list(entries: Any, where: str) -> tuple[ObstacleSettings, ...]:
     if not isinstance(entries, list):
         raise SettingsError(f"{where} = {entries!r}; expected a list of obstacles, each with its {KIND_KEY}")
     found = []
-    with Problems() as problems:
-        for number, entry in enumerate(entries):
-            with problems.noted():
-                kind = entry.get(KIND_KEY) if isinstance(entry, dict) else None
-                if not isinstance(kind, str) or kind not in KINDS:
-                    raise SettingsError(f"{where}[{number}]: {KIND_KEY} = {kind!r}; expected one of {', '.join(KINDS)}")
-                values = {key: value for key, value in entry.items() if key != KIND_KEY}
-                found.append(KINDS[kind].from_mapping(values, f"{where}[{number}]"))
+    for number, entry in enumerate(entries):
+        kind = entry.get(KIND_KEY) if isinstance(entry, dict) else None
+        if not isinstance(kind, str) or kind not in KINDS:
+            raise SettingsError(f"{where}[{number}]: {KIND_KEY} = {kind!r}; expected one of {', '.join(KINDS)}")
+        values = {key: value for key, value in entry.items() if key != KIND_KEY}
+        found.append(KINDS[kind].from_mapping(values, f"{where}[{number}]"))
     return tuple(found)
 
 

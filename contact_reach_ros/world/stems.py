@@ -86,11 +86,6 @@ class StemsSettings(ObstacleSettings):
         directions = [each.direction for each in self.parsed() if each.bears_fruit]
         return center + np.reshape([far * way for far, way in zip(reach, directions, strict=True)], (-1, 3))
 
-    @property
-    def material(self) -> Material:
-        """Material of the stems."""
-        return Material(_LINK_MASS, 0.0, _NODE_DAMPING, self.contact_stiffness, self.friction)
-
     def at(self, center: Array) -> tuple[Obstacle, ...]:
         """The plant with its root at `center` (3,), m: its nodes are the root and the ends of all links that move."""
         points, stems, masses = [center], [], []
@@ -123,7 +118,7 @@ class StemsSettings(ObstacleSettings):
                 "the plant",
                 rest,
                 self.radius,
-                self.material,
+                Material(_LINK_MASS, 0.0, _NODE_DAMPING, self.contact_stiffness, self.friction),
                 fixed,
                 edges=np.array(edges, np.intp),
                 edge_stiffness=np.array(stiffness),

@@ -184,16 +184,13 @@ def test_efforts_below_gravity_are_refused_with_both_torques(tmp_path):
     [
         ({f"l{n}": link(f"l{n}", 0.01, BALL, (1e-6, 1e-6, 1e-6)) for n in range(1, 7)}, "0.06 kg"),
         ({f"l{n}": link(f"l{n}", 1.0, BALL) for n in range(1, 7)}, "6 of 6 links have equal masses"),
-        ({"l5": link("l5", 1e-6, BALL, (1e-9, 1e-9, 1e-9))}, r"next to none of 9.5 kg is on l5 \(1e-06 kg\)"),
-        ({"l2": link("l2", 0.5, BALL, (0.2, 0.2, 0.2))}, "radii of gyration .*l2 \\(0.63 m\\)"),
         ({"l4": link("l4", 1.5, BALL + BALL.replace("0 0 0.1", "0.5 0 0"))}, None),
-        ({"l4": link("l4", 1.5, BALL + BALL.replace("0 0 0.1", "0.4 0.4 0"), (0.01,) * 3)}, None),
     ],
 )
 def test_what_is_hardly_real_is_said(changed, expected, tmp_path):
     found = read(tmp_path, six_joints(**changed)).doubts
     if expected is None:
-        assert not any("masses" in line or "radii" in line for line in found)
+        assert not any("masses" in line for line in found)
     else:
         assert [line for line in found if re.search(expected, line)], found
 

@@ -20,7 +20,6 @@ from contact_reach_ros.arm.capsules import (
     shape_segments,
     shapes,
 )
-from contact_reach_ros.arm.inverse_kinematics import unreachable
 from contact_reach_ros.arm.mjcf import build_mjcf, capsule_names
 from contact_reach_ros.arm.table import ArmOptions, GivenCapsule, arm_of_table, table_of
 from contact_reach_ros.arm.urdf import build_urdf
@@ -331,7 +330,6 @@ def test_a_base_without_geometry_is_no_obstacle(tmp_path):
     assert [model.geom(number).name for number in range(model.ngeom)] == list(capsule_names(arm))
     floor = Plane("floor", (0.0, 0.0, 0.0))
     assert nearest(arm, np.array([arm.home]), (floor,))[0].link in arm.link_names
-    assert unreachable(arm, np.zeros(3)) == ""
     check_hand(arm, Target(np.array([0.0, 0.0, 0.1]), None), ())
 
 

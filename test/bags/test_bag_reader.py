@@ -14,10 +14,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.topics import TYPES, RecordedTopic
+from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
-from contact_reach_ros.messages import topics
 
 
 @pytest.mark.parametrize("single_file", [False, True])
@@ -228,8 +227,3 @@ def test_what_cannot_be_decoded_does_not_keep_others_from_being_read(tmp_path: P
     assert [text.data for name in reader.topics for text in reader.messages(name)] == ["1", "5"]
     for topic, count in {"/gain": 2, "/other": 2, "/json": 2, "/any": 1, "/text": 1}.items():
         assert any(note.startswith(f"topic '{topic}': {count} messages are left out") for note in reader.notes)
-
-
-def test_expected_types_are_those_that_the_nodes_publish() -> None:
-    published = {topic.name: topic.type_name for topic in topics.ALL}
-    assert {name: published[name] for name in TYPES} == TYPES

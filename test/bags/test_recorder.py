@@ -21,6 +21,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_domains import fresh_domain
 from sensor_msgs.msg import JointState
+from stack_helpers import ros
 from std_msgs.msg import Float64MultiArray, String
 
 from contact_reach_ros.bags.reader import BagReader
@@ -227,9 +228,7 @@ def test_killed_recorder_leaves_what_it_had_flushed(recorder: Recorder) -> None:
 def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free = shutil.disk_usage(tmp_path)
     monkeypatch.setattr("shutil.disk_usage", lambda _: free)
-    arguments = ["--ros-args", "-p", f"bag:={tmp_path / 'bag'}"]
-    rclpy.init(args=arguments, domain_id=fresh_domain())
-    try:
+    with ros(f"bag:={tmp_path / 'bag'}"):
         node = RecorderNode()
         node.trigger_configure()
         node.trigger_activate()
@@ -243,9 +242,6 @@ def test_recording_ends_before_the_disk_is_full(tmp_path: Path, monkeypatch: pyt
         # The stack goes on.
         node.turn()
         node.trigger_deactivate()
-        node.destroy_node()
-    finally:
-        rclpy.shutdown()
     assert BagReader(tmp_path / "bag").notes == ()
 
 

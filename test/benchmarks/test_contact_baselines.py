@@ -27,13 +27,13 @@ def test_no_path_presses_harder_than_permitted():
     q[0] += 0.25
     in_the_way = link_frames(ARM, q)[1][3] + np.array([0.0, 0.12, 0.0])
     spheres = ball(in_the_way, 300.0)
-    path = find_contact_path(ARM, HOME, goal, spheres, 10.0, 1000.0, seed=1)
+    path = find_contact_path(ARM, HOME, goal, spheres, 10.0, seed=1)
     np.testing.assert_array_equal(path.postures[0], HOME)
     np.testing.assert_allclose(link_frames(ARM, path.postures[-1])[1][-1], goal.position, atol=1e-3)
-    force = Statics(ARM, spheres, 1000.0, HOME, goal).forces
+    force = Statics(ARM, spheres, HOME, goal).forces
     for start, end in zip(path.postures[:-1], path.postures[1:], strict=True):
         assert force(start + np.linspace(0.0, 1.0, 30)[:, None] * (end - start)).max() <= 11.0
-    again = find_contact_path(ARM, HOME, goal, spheres, 10.0, 1000.0, seed=1)
+    again = find_contact_path(ARM, HOME, goal, spheres, 10.0, seed=1)
     np.testing.assert_array_equal(path.postures, again.postures)
 
 

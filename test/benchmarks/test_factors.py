@@ -58,7 +58,7 @@ def test_costs_differ_in_weights_only_and_the_shipped_one_is_shipped():
         changed = {
             name
             for name, value in vars(Factors(cost, 0.04, True).setup("wall").planning).items()
-            if value != getattr(shipped.planning, name)
+            if value != getattr(shipped.planning, name, 0.0)
         }
         assert all(name.endswith("_weight") or name == "contact_patience" for name in changed), cost
     slow = Factors("shipped", 0.47, False).setup("slalom")

@@ -175,7 +175,7 @@ class TestPlans:
             assert bench.mode is Mode.HOLDING
             first = bench.now_ns - jump
             stamps = range(first, first + 400 * TICK_NS, TICK_NS)
-            torques.append([bench.controller.tick(HOME, v, stamp_ns, stamp_ns) for stamp_ns in stamps])
+            torques.append([bench.controller._tick(HOME, v, stamp_ns, stamp_ns) for stamp_ns in stamps])
         # The tick at the jump counts as one of no duration, and the rate limit sees one tick more.
         np.testing.assert_allclose(torques[0][50:-1], torques[1][51:], rtol=0, atol=1e-9)
 

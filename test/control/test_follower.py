@@ -12,13 +12,14 @@ from contact_reach_ros.control.references import Reference
 from contact_reach_ros.control.settings import ImpedanceSettings, SupervisionSettings
 
 RAMP_MS = 40
+IMPEDANCE = ImpedanceSettings(reference_ramp=1e-3 * RAMP_MS).resolve(ARM)
 MODEL = RobotModel(ARM)
 MODEL.update(HOME, np.zeros(ARM.n))
 
 
 @given(st.integers(0, 60))
 def test_it_goes_straight_from_the_pose_that_was_held_to_the_knot_and_stays_there(elapsed):
-    follower = Follower(ARM.n, ImpedanceSettings(reference_ramp=1e-3 * RAMP_MS), SupervisionSettings(**FAR), 0.001)
+    follower = Follower(ARM.n, IMPEDANCE, SupervisionSettings(**FAR), 0.001)
     follower.restart(MODEL, HOME, 0)
     start, turn = follower.reference, np.array([0.3, -0.8, 1.2])
     end = Reference(np.array([0.5, -0.2, 0.6]), pin.exp3(turn) @ start.rotation, -np.arange(7.0))
@@ -32,7 +33,7 @@ def test_it_goes_straight_from_the_pose_that_was_held_to_the_knot_and_stays_ther
 
 
 def test_plans_that_come_with_every_state_move_the_reference_too():
-    follower = Follower(ARM.n, ImpedanceSettings(reference_ramp=1e-3 * RAMP_MS), SupervisionSettings(**FAR), 0.001)
+    follower = Follower(ARM.n, IMPEDANCE, SupervisionSettings(**FAR), 0.001)
     follower.restart(MODEL, HOME, 0)
     start, end = follower.reference, np.array([0.5, -0.2, 0.6])
     for tick in range(1, 4 * RAMP_MS):

@@ -5,6 +5,7 @@ from contact_reach_command import python
 # In a process of its own, where no test has called a compiled function before.
 TICKS = """
 import numpy as np
+from contact_reach_ros.arm import JointState
 from contact_reach_ros.control import kernels
 from contact_reach_ros.control.controller import Controller
 from contact_reach_ros.control.settings import ControllerSettings
@@ -26,10 +27,10 @@ controller.start(q, v, 0)
 position, rotation = controller.model.tip_pose(q)
 controller.follow(References(1, (10**9,), position[None], rotation[None], q[None]))
 for now_ns, state in enumerate(((q, v), (singular, v), (q, fast), (at_limit, v)), 2):
-    torque = controller.tick(*state, now_ns, now_ns)
+    torque = controller.update(JointState(now_ns, *state, None), now_ns)
     assert np.isfinite(torque).all() and torque.any()
 controller.stop("test")
-controller.tick(q, v, 10, 10)
+controller.update(JointState(10, q, v, None), 10)
 print(before, compiled())
 """
 

@@ -148,17 +148,6 @@ def test_the_commanded_position_stays_at_an_arm_that_moves_fast(generation):
     assert max(far) < 0.005
 
 
-@pytest.mark.parametrize(
-    ("mode", "doubt"), [(2, ""), (0, "KUKA's control mode is POSITION_CONTROL; expected JOINT_"), (1, "CARTESIAN_")]
-)
-def test_another_control_mode_than_joint_impedance_is_doubtful_while_a_session_commands(mode, doubt):
-    states = FriStates(ARM, LbrSettings(), 0.002, True)
-    states.read(fri_message(1, control_mode=mode), 0)
-    assert doubt in states.doubt and bool(doubt) == bool(states.doubt)
-    states.read(fri_message(2, control_mode=mode, session_state=3), 0)
-    assert not states.doubt
-
-
 def behind_adapter(generation, stiffness=0.0, period=0.002, **config):
     return Adapted(KukaRobot(SCENE, period, generation, stiffness, **config))
 

@@ -47,7 +47,7 @@ class Carried(Guarded):
 
     def step(self, clock_ns):
         self._send(self.guard.watch(clock_ns), clock_ns)
-        return self.robot.step(clock_ns)
+        self.robot.step(clock_ns)
 
     def read(self):
         (state,) = self.robot.read()

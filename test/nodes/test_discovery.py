@@ -11,10 +11,11 @@ from contact_reach_ros.ros.parameters import check_arguments
 
 TALK = """
 import contextlib, os, socket, sys
-from contact_reach_ros.ros.discovery import reach
+from contact_reach_ros.ros.discovery import environment, reach
 from contact_reach_ros.ros.process import bare_node
 
-with bare_node("test", *sys.argv[1:]):
+os.environ.update(environment(*sys.argv[1:]))
+with bare_node("test"):
     for name in os.listdir("/proc/self/fd"):
         with contextlib.suppress(OSError), socket.socket(fileno=os.dup(int(name))) as opened:
             if opened.family == socket.AF_INET and opened.getsockname()[1]:

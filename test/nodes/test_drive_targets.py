@@ -184,7 +184,7 @@ def test_torques_reach_an_arm_whose_effort_controller_is_active(states, idle):
     listed = [SimpleNamespace(name=name, state=state, claimed_interfaces=[]) for name, state in states.items()]
     target = effort.EffortTarget(Node(SimpleNamespace(controller=listed)), ARM, EffortSettings(ask_joints=False), True)
     assert not target.idle
-    target.ask_idle()
+    target.look()
     assert target.idle == idle
 
 
@@ -250,7 +250,7 @@ def test_a_reset_needs_a_controller_that_is_active_or_that_it_activates():
         target = effort.EffortTarget(
             Node(SimpleNamespace(controller=listed)), ARM, EffortSettings(ask_joints=False), carries
         )
-        target.ask_idle()
+        target.look()
         with contextlib.nullcontext() if may_reset else pytest.raises(InputError, match="--activate effort_controller"):
             target.check_reset()
 
@@ -374,15 +374,6 @@ def test_a_wrong_setting_is_named_and_no_command_passes(bench, config, words):
     kuka.run(1.7)
     assert words in bench.node.diagnosis()[0] and bench.node._passed == 0
     assert np.linalg.norm(kuka.robot.plant.tip_position - start) < 0.005
-
-
-def test_a_doubtful_control_mode_is_logged_once(bench, capfd):
-    kuka = BenchOnKuka(bench)
-    kuka.run(0.3, control_mode=0)
-    for _ in range(2):
-        bench.node._target.look()
-    assert capfd.readouterr().err.count("KUKA's control mode is POSITION_CONTROL") == 1
-    assert "POSITION_CONTROL" in bench.node.diagnosis()[1]["doubt"]
 
 
 def test_a_driver_in_another_namespace_is_named(bench):

@@ -14,7 +14,7 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.messages.topics import Topic
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 
-FIRST, SECOND = Topic("first", String), Topic("second", String)
+FIRST, SECOND = (Topic(name, "std_msgs/msg/String") for name in ("first", "second"))
 WAIT_NS = 1_000_000_000
 
 

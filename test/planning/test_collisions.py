@@ -1,7 +1,5 @@
 """The planner keeps the arm clear of rigid bodies and of itself, and refuses plans that do not."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +10,7 @@ from contact_reach_ros.arm.capsules import pair_distances, self_pairs, shape_rad
 from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.obstacles import BLOCKS, PLANES, check_motion, nearest_bodies
 from contact_reach_ros.planning.settings import ReplanningSettings
+from contact_reach_ros.planning.terms import TERMS
 from contact_reach_ros.planning.transfer.clearance import intrusion
 from contact_reach_ros.planning.transfer.dynamics import link_frames, place_capsules
 from contact_reach_ros.planning.transfer.model import arm_model
@@ -133,7 +132,7 @@ def test_a_plan_that_leads_into_a_body_is_refused(planner, monkeypatch):
     With two of six seeds the plan before the refused one ends on the table, as it may.
     """
     planner.reseed(3)
-    monkeypatch.setattr(planner, "_settings", dataclasses.replace(planner._settings, clearance_weight=1e-6))
+    monkeypatch.setitem(TERMS, "clearance", TERMS["clearance"]._replace(weight=1e-6))
     goal = Goal(BESIDE)
     # Until a detour is due.
     result = stack_for(planner, (TABLE,), goal).run(goal, 1.1)

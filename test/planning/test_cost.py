@@ -22,12 +22,13 @@ from planning_helpers import (
     make_problem,
 )
 
+from benchmarks.authors_cost import AuthorsSettings
 from contact_reach_ros.arm import link_frames
 from contact_reach_ros.control.settings import IMPACT_ENERGY, LimitSettings
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.planning.cost import Objective
 from contact_reach_ros.planning.lanes.compiled import Compiled
-from contact_reach_ros.planning.settings import AUTO, PlanningSettings
+from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.hybrid import slopes
 from contact_reach_ros.planning.solver.solver import CostFunction
 from contact_reach_ros.planning.terms import JOINT_LIMIT_MARGIN, ROUNDING, TERMS, Problem, Term, term, term_weights
@@ -67,7 +68,7 @@ def test_the_authors_terms_charge_the_end_of_the_plan_and_the_square_of_every_fo
     problem = make_problem(HOME, FLANGE, ball(beside_forearm(-0.005)))
     problem = problem._replace(weights={"terminal": 2.0, "contact_squared": 0.5})
     rollout, terms = roll_out(problem, actions)
-    assert terms.keys() == problem.weights.keys()
+    assert terms.keys() == problem.weights.keys() < term_weights(AuthorsSettings()).keys()
     away = np.linalg.norm(rollout.pose.position[-1, :, 0] - rollout.pose.position[0, :, 0])
     assert terms["terminal"][0] == pytest.approx(2.0 * away, abs=1e-3) and away > 0.005
     assert terms["contact_squared"][0] == pytest.approx(0.5 * (rollout.link_force[..., 0] ** 2).sum(), rel=1e-4)
@@ -117,7 +118,7 @@ def costs_and_slopes(cost) -> Iterator[Callable[[Problem, jax.Array], tuple[jax.
 @pytest.fixture(scope="module")
 def solver_slopes(cost) -> Callable[[tuple[Problem, jax.Array], np.ndarray], jax.Array]:
     """As the solver computes them."""
-    return jax.jit(Compiled(functools.partial(slopes, cost), AUTO))
+    return jax.jit(Compiled(functools.partial(slopes, cost)))
 
 
 @pytest.mark.parametrize("touching", [False, True])
@@ -128,7 +129,7 @@ def test_the_solvers_gradient_agrees_with_differences_of_the_solvers_cost(cost, 
     obstacle = ball(beside_forearm(-0.005) if touching else FAR_BALL)
     problem = make_problem(HOME, FLANGE + np.array([0.2, 0.1, -0.1]), obstacle, orientation=0.1)
     slope = np.asarray(solver_slopes((problem, points[:, :1]), np.eye(39, dtype=np.float32)))
-    costs, step = jax.jit(Compiled(cost, AUTO)), np.eye(39, dtype=np.float32) / 100.0
+    costs, step = jax.jit(Compiled(cost)), np.eye(39, dtype=np.float32) / 100.0
     ahead, behind = (np.asarray(costs(problem, points + each), np.float64) for each in (step, -step))
     difference = (ahead - behind) / 0.02
     np.testing.assert_allclose(slope, difference, rtol=0, atol=2e-3 * np.abs(difference).max())

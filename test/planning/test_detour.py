@@ -18,6 +18,7 @@ from contact_reach_ros.errors import PlanningError, UnreachableError
 from contact_reach_ros.planning.detour import Detour, Detours
 from contact_reach_ros.planning.paths import Statics, duration, durations, length
 from contact_reach_ros.planning.plan import Request
+from contact_reach_ros.planning.terms import TERMS
 from contact_reach_ros.scenes.generate import load_scene
 from contact_reach_ros.world.collision import nearest
 from contact_reach_ros.world.goal import Target
@@ -47,7 +48,7 @@ def slalom_and_goal() -> tuple[Spheres, Target]:
 
 
 def statics_of(spheres: Spheres, goal: Target) -> Statics:
-    return Statics(SLALOM.arm, spheres, SMALL.contact_stiffness, SLALOM.start, goal)
+    return Statics(SLALOM.arm, spheres, SLALOM.start, goal)
 
 
 def late(spheres: Spheres, goal: Target) -> Request:
@@ -124,11 +125,11 @@ def test_an_arm_on_a_detour_that_moves_on_as_fast_as_counts_is_not_sent_elsewher
 def test_an_arm_finds_a_path_away_from_where_it_presses_harder_than_permitted():
     """As among the nodes of a mesh, each of which is counted as if it were alone."""
     soft = dataclasses.replace(ball_at(link_frames(ARM, HOME)[1][4], 85.0), radius=np.array([0.1]))
-    pressing = float(Statics(ARM, soft, SMALL.contact_stiffness, HOME, GOAL).forces(HOME[None])[0])
+    pressing = float(Statics(ARM, soft, HOME, GOAL).forces(HOME[None])[0])
     assert PERMITTED_FORCE < pressing < 2.0 * PERMITTED_FORCE
     leaving = followed(begin(spheres=soft), HOME, 1.2, spheres=soft)
     assert leaving.on_detour == 1
-    forces = Statics(ARM, soft, SMALL.contact_stiffness, HOME, GOAL).forces(leaving.detour.path)
+    forces = Statics(ARM, soft, HOME, GOAL).forces(leaving.detour.path)
     above = forces > PERMITTED_FORCE
     assert forces.max() <= pressing + 0.6
     assert not above[int(above.argmin()) :].any()
@@ -282,7 +283,7 @@ def test_plans_of_an_arm_without_progress_last_as_long_as_most_searches(planner)
 
 
 def test_where_every_plan_would_end_in_a_collision_the_arm_makes_no_progress(planner, monkeypatch):
-    monkeypatch.setattr(planner, "_settings", dataclasses.replace(SMALL, clearance_weight=0.0))
+    monkeypatch.setitem(TERMS, "clearance", TERMS["clearance"]._replace(weight=0.0))
     lowest = nearest(ARM, HOME[None], (Plane("floor", (0.0, 0.0, 0.0)),))[0].distance
     free, beneath = ball_at(np.array([0.0, 0.0, -5.0])), Target(ORIGINS[-1] - np.array([0.0, 0.0, 0.3]), ROTATIONS[-1])
     above_floor = dataclasses.replace(free, environment=(Plane("floor", (0.0, 0.0, lowest - 0.001)),))

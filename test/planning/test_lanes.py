@@ -11,7 +11,6 @@ from planning_helpers import FAR_BALL, FLANGE, HOME, SMALL, ball, beside_forearm
 
 from contact_reach_ros.planning.lanes import compiled, trace
 from contact_reach_ros.planning.lanes.compiled import Compiled
-from contact_reach_ros.planning.settings import AUTO, BACKENDS, XLA
 from contact_reach_ros.planning.solver.hybrid import slopes
 
 CANDIDATES = np.random.default_rng(3).uniform(-1.0, 1.0, (5, 21)).astype(np.float32)
@@ -21,11 +20,8 @@ GIVEN = {"weights": np.linspace(0.5, 1.5, 5, dtype=np.float32), "offset": np.flo
 
 def both(function, given=GIVEN, candidates=CANDIDATES, source=None):
     """What the function returns by lanes and by XLA."""
-    results = []
-    for backend in BACKENDS:
-        traced = Compiled(source, backend) if source else None
-        results.append(np.asarray(jax.jit(Compiled(function, backend, traced))(given, candidates)))
-    return results
+    by_lane = Compiled(function, Compiled(source) if source else None)
+    return [np.asarray(jax.jit(own)(given, candidates)) for own in (by_lane, function)]
 
 
 def with_loops(given, candidates):
@@ -70,7 +66,7 @@ def test_results_are_any_tree_of_arrays():
         offset = jnp.broadcast_to(given["offset"], (2, candidates.shape[1]))
         return {"steps": steps, "same": (offset, candidates), "known": jnp.ones_like(offset[:, None])}
 
-    by_lane, by_xla = (jax.jit(Compiled(function, backend))(GIVEN, CANDIDATES) for backend in BACKENDS)
+    by_lane, by_xla = (jax.jit(own)(GIVEN, CANDIDATES) for own in (Compiled(function), function))
     jax.tree.map(lambda own, other: np.testing.assert_allclose(own, other, rtol=1e-6, atol=1e-7), by_lane, by_xla)
     assert by_lane["known"].shape == (2, 1, 21) and by_lane["steps"][1].shape == (5, 21)
 
@@ -138,7 +134,7 @@ def test_not_a_number_comes_through():
 
 
 def test_the_same_candidates_have_the_same_bits_wherever_they_are():
-    function = jax.jit(Compiled(with_functions, AUTO))
+    function = jax.jit(Compiled(with_functions))
     first = np.asarray(function(GIVEN, CANDIDATES))
     np.testing.assert_array_equal(first, np.asarray(function(GIVEN, CANDIDATES)))
     np.testing.assert_array_equal(first[::-1], np.asarray(function(GIVEN, CANDIDATES[:, ::-1])))
@@ -157,8 +153,8 @@ def test_an_operation_that_it_does_not_know_is_left_to_xla_with_one_warning(capl
     def sorting(given, candidates):
         return jnp.sort(candidates, axis=0)[1] + given["offset"]
 
-    function = Compiled(sorting, AUTO)
-    derivative = Compiled(functools.partial(slopes, sorting), AUTO, function)
+    function = Compiled(sorting)
+    derivative = Compiled(functools.partial(slopes, sorting), function)
     with caplog.at_level(logging.WARNING):
         values = [np.asarray(jax.jit(function)(GIVEN, CANDIDATES[:, :count])) for count in (21, 8)]
         jax.jit(derivative)((GIVEN, CANDIDATES[:, :1]), CANDIDATES)
@@ -178,8 +174,3 @@ def test_what_is_too_large_is_left_to_xla_with_one_warning(caplog, monkeypatch, 
     np.testing.assert_array_equal(by_lane, by_xla)
     (record,) = caplog.records
     assert "takes 10 numbers, and this has more" in record.getMessage()
-
-
-def test_with_xla_nothing_is_compiled_by_lanes(monkeypatch):
-    monkeypatch.setattr(compiled, "_compile", lambda *_: pytest.fail("compiled by lanes"))
-    jax.jit(Compiled(lambda given, candidates: candidates.sum(axis=0), XLA))(GIVEN, CANDIDATES)

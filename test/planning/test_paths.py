@@ -10,17 +10,18 @@ from planning_helpers import ball_at
 
 from contact_reach_ros.arm import link_frames
 from contact_reach_ros.planning.paths import Statics, connect, length, shortened
+from contact_reach_ros.planning.transfer.contact import CONTACT_STIFFNESS
 from contact_reach_ros.world.goal import Target
 from contact_reach_ros.world.spheres import Spheres
 
 GOAL = HOME + np.array([0.8, 0.2, -0.3, 0.4, 0.2, -0.3, 0.5])
 BETWEEN = link_frames(ARM, 0.5 * (HOME + GOAL))[1][-1]
-LIMIT, STIFFNESS, SURFACE = 5.0, 300.0, 1000.0
+LIMIT, STIFFNESS = 5.0, 300.0
 MARGIN, ITERATIONS = 0.02, 200
 
 
 def statics_among(spheres: Spheres) -> Statics:
-    return Statics(ARM, spheres, SURFACE, HOME, Target(link_frames(ARM, GOAL)[1][-1]))
+    return Statics(ARM, spheres, HOME, Target(link_frames(ARM, GOAL)[1][-1]))
 
 
 def between(path: np.ndarray) -> np.ndarray:
@@ -60,7 +61,7 @@ def test_the_force_is_that_of_two_springs_in_series():
     shallow = ball_at(elbow, 100.0)
     deep = dataclasses.replace(shallow, radius=shallow.radius + 0.01)
     first, second = (statics_among(each).forces(HOME[None])[0] for each in (shallow, deep))
-    assert second - first == pytest.approx(0.01 / (1 / 100 + 1 / SURFACE), rel=1e-3)
+    assert second - first == pytest.approx(0.01 / (1 / 100 + 1 / CONTACT_STIFFNESS), rel=1e-3)
     assert statics_among(ball_at(elbow + np.array([0.0, 0.0, 3.0]), 100.0)).forces(HOME[None])[0] == 0.0
 
 

@@ -9,7 +9,7 @@ from planning_helpers import ball, ball_at, beside_forearm, obstacles_of
 
 from contact_reach_ros.arm import link_frames as table_frames
 from contact_reach_ros.planning.transfer import pipeline
-from contact_reach_ros.planning.transfer.contact import Contact, Obstacles, contact_step, response
+from contact_reach_ros.planning.transfer.contact import CONTACT_STIFFNESS, Contact, Obstacles, contact_step, response
 from contact_reach_ros.planning.transfer.dynamics import link_frames
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.planning.unexpected_contact import places_near
@@ -18,7 +18,6 @@ from contact_reach_ros.world.spheres import Spheres
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
-STIFFNESS = 1000.0
 AN_INSTANT = 1e-6
 """A step in which no sphere gives way, s."""
 
@@ -31,7 +30,7 @@ def touch():
     @jax.jit
     def run(q: jax.Array, obstacles: Obstacles) -> Contact:
         frames = link_frames(arm_model(ARM), q)
-        return contact_step(arm_model(ARM), frames, obstacles, STIFFNESS, AN_INSTANT)
+        return contact_step(arm_model(ARM), frames, obstacles, AN_INSTANT)
 
     return lambda q, obstacles: jax.tree.map(np.asarray, run(jnp.asarray(q)[:, None], obstacles))
 
@@ -46,7 +45,7 @@ def test_joint_torque_is_the_derivative_of_the_contact_energy(touch):
     center = beside_forearm(-0.01)
 
     def energy(q: np.ndarray) -> float:
-        return 0.5 * STIFFNESS * min(clearances(ARM, q, ball_at(center))[0], 0.0) ** 2
+        return 0.5 * CONTACT_STIFFNESS * min(clearances(ARM, q, ball_at(center))[0], 0.0) ** 2
 
     step = 1e-5
     expected = [-(energy(HOME + step * axis) - energy(HOME - step * axis)) / (2 * step) for axis in np.eye(7)]
@@ -56,7 +55,7 @@ def test_joint_torque_is_the_derivative_of_the_contact_energy(touch):
 def test_capsules_that_touch_one_sphere_share_its_force_as_it_yields_to_all_of_them():
     """Against forces that fit the depths that they leave, wherever a soft ball touches two capsules or more."""
     frames, random, time = link_frames(arm_model(ARM), jnp.asarray(HOME)[:, None]), np.random.default_rng(0), 0.025
-    run = jax.jit(lambda obstacles: contact_step(arm_model(ARM), frames, obstacles, STIFFNESS, time).link_force)
+    run = jax.jit(lambda obstacles: contact_step(arm_model(ARM), frames, obstacles, time).link_force)
     # At the instant at which contact is evaluated.
     yielding = float(response(ball(HOME[:3], 60.0), 0.7 * time)[1][0, 0])
     radii, errors = np.array([capsule.radius for capsule in ARM.capsules]), []
@@ -69,7 +68,7 @@ def test_capsules_that_touch_one_sphere_share_its_force_as_it_yields_to_all_of_t
         force = np.zeros(len(depths))
         for _ in range(200):
             left = depths - yielding * normals @ (force @ normals)
-            force += 0.2 * (STIFFNESS * np.maximum(left, 0.0) - force)
+            force += 0.2 * (CONTACT_STIFFNESS * np.maximum(left, 0.0) - force)
         errors.append(np.abs(np.asarray(run(ball(center, 60.0)))[links - 1, 0] - force).max() / force.max())
     assert np.median(errors) < 0.01
     assert max(errors) < 0.4

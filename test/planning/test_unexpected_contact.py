@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from arm_simulation import ARM, HOME, ideal_plant
 from plans import StayingCore
-from scipy.optimize import nnls
 from test_planner import GOAL, make, state
 
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.observer.budget import ContactBudget
 from contact_reach_ros.observer.location import Contact, ContactLocator
 from contact_reach_ros.observer.observer import EXCESS_FORCE
-from contact_reach_ros.planning.unexpected_contact import Explanation, nonnegative_fit
+from contact_reach_ros.planning.unexpected_contact import Explanation
 from contact_reach_ros.simulation.plant import Plant
 from contact_reach_ros.world.collision import capsule_segments
 from contact_reach_ros.world.spheres import Spheres
@@ -129,16 +128,3 @@ def test_a_planner_explains_by_the_obstacles_that_it_saw_last():
         planner.request(state(tick))
         found.append(planner.objection(contact))
     assert found[0] == "" and found[-1].startswith("unexpected contact of 8 N at lbr_link_7")
-
-
-def test_forces_that_cannot_pull_fit_as_well_as_scipys():
-    random = np.random.default_rng(0)
-    for count in range(1, 60):
-        matrix, target = 10.0 * random.normal(size=(8, count)), 10.0 * random.normal(size=8)
-        # As the explanation has them: a row for the sum, a column that is none, and two that are the same.
-        matrix[-1], target[-1], matrix[:-1, -1], matrix[:, 0] = 100.0, 100.0, 0.0, matrix[:, count // 2]
-        found, (expected, misfit) = nonnegative_fit(matrix, target), nnls(matrix, target)
-        assert (found >= 0.0).all()
-        assert np.linalg.norm(matrix @ found - target) == pytest.approx(misfit, abs=1e-9)
-        if count < 8:
-            assert matrix @ found == pytest.approx(matrix @ expected, abs=1e-8)

@@ -6,13 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from contact_reach_ros.bags import mcap_file
 from contact_reach_ros.bags.reader import BagReader
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
 from contact_reach_ros.errors import BagError
 from contact_reach_ros.messages.intake import Taken
-from contact_reach_ros.reexecution import inputs
 from contact_reach_ros.reexecution.inputs import COMMANDS, RecordedInputs
 from contact_reach_ros.reexecution.loops import reexecute
 from contact_reach_ros.resources import share_directory
@@ -34,10 +32,7 @@ def changed(sample: RecordedInputs, **attributes: object) -> RecordedInputs:
     return made
 
 
-def test_torques_and_residuals_are_identical(sample: RecordedInputs, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the bag no more than half is in memory at a time."""
-    monkeypatch.setattr(inputs, "_KEPT", 1500)
-    monkeypatch.setattr(mcap_file, "_MOST", 500)
+def test_torques_and_residuals_are_identical(sample: RecordedInputs) -> None:
     for found in (reexecute("controller", sample), reexecute("observer", sample)):
         assert found.compared > 2500
         assert found.largest_difference <= 1e-9

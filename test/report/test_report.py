@@ -13,12 +13,11 @@ import pytest
 from contact_reach_command import contact_reach
 from plotly.offline import get_plotlyjs
 
-from contact_reach_ros.bags import signals as bag_signals
-from contact_reach_ros.bags.columns import Arrays, Column
 from contact_reach_ros.bags.reader import BagReader
-from contact_reach_ros.bags.signals import EpisodeSignals, SafetyEvent, Series
+from contact_reach_ros.bags.signals import EpisodeSignals, Series
 from contact_reach_ros.bags.topics import RecordedTopic
 from contact_reach_ros.bags.writer import BagWriter
+from contact_reach_ros.messages.safety_state import SafetyState
 from contact_reach_ros.report import bag as report_bag
 from contact_reach_ros.report.bag import CALLED, ReportBag, metrics
 from contact_reach_ros.report.charts import BINS, envelope
@@ -87,7 +86,7 @@ def test_a_recording_without_a_goal_has_the_numbers_that_need_none(signals: Epis
     without = report_of(dataclasses.replace(signals, goals=goals))
     assert without.verdict == "no goal in the bag" and not without.good
     found, expected = metrics(without), metrics(report_of(signals))
-    of_goal = ["time to the goal", "distance at the end", "way to the goal"]
+    of_goal = ["time to the goal", "distance at the end"]
     assert np.isnan([found[name][0] for name in of_goal]).all()
     assert found["largest contact force"] == expected["largest contact force"]
     assert found["largest contact force"][0] > 0.0 and found["round trip p50"] == expected["round trip p50"]
@@ -98,15 +97,14 @@ def test_an_episode_ends_where_it_is_decided_however_long_the_recording(
     signals: EpisodeSignals, timeout: float, verdict: str
 ) -> None:
     found = report_of(signals, timeout=timeout, settle=0.2)
-    assert found.verdict == verdict and found.episode is not None
-    episode = found.episode
-    assert episode.end == pytest.approx(episode.reached + 0.2 if found.good else episode.start + timeout)
+    assert found.verdict == verdict
+    assert found.end == pytest.approx(found.reached + 0.2 if found.good else found.zero + timeout)
 
 
 def test_an_arm_that_was_at_the_goal_and_has_not_settled_did_not_reach_it(signals: EpisodeSignals) -> None:
     found = report_of(dataclasses.replace(signals, settled=np.zeros(0)))
-    assert found.verdict == "goal not reached" and found.episode is not None
-    assert found.episode.distance.values.min() < 0.01 and np.isnan(metrics(found)["time to the goal"][0])
+    assert found.verdict == "goal not reached"
+    assert found.distance.values.min() < 0.01 and np.isnan(metrics(found)["time to the goal"][0])
 
 
 def test_without_the_planners_word_nobody_knows_whether_a_goal_was_reached(
@@ -124,18 +122,18 @@ def test_without_the_planners_word_nobody_knows_whether_a_goal_was_reached(
 
 
 def test_a_stop_is_the_verdict(signals: EpisodeSignals) -> None:
-    stop = SafetyEvent(signals.goals.time[0] + 0.5, 2, "observer", "too much torque", True)
-    found = report_of(dataclasses.replace(signals, safety=(stop,)))
+    stop = SafetyState(signals.goals.time[0] + 0.5, 2, "observer", "too much torque")
+    found = report_of(dataclasses.replace(signals, safety_states=(stop,)))
     assert found.verdict == "stopped by the observer: too much torque" and not found.good
 
 
 def test_a_stop_before_the_goal_that_was_released_is_not(signals: EpisodeSignals) -> None:
     begin = signals.goals.time[0]
-    stop = SafetyEvent(begin - 0.5, 2, "controller", CALLED, True)
-    held = SafetyEvent(begin - 0.3, 0, "controller", "holding", False)
-    found = report_of(dataclasses.replace(signals, safety=(stop, held)))
-    assert found.good and len(found.episode.distance.time) > 100
-    assert not report_of(dataclasses.replace(signals, safety=(stop,))).good
+    stop = SafetyState(begin - 0.5, 2, "controller", CALLED)
+    held = SafetyState(begin - 0.3, 0, "controller", "holding")
+    found = report_of(dataclasses.replace(signals, safety_states=(stop, held)))
+    assert found.good and len(found.distance.time) > 100
+    assert not report_of(dataclasses.replace(signals, safety_states=(stop,))).good
 
 
 def test_odd_stamps_and_infinite_values_have_a_page(signals: EpisodeSignals) -> None:
@@ -146,9 +144,8 @@ def test_odd_stamps_and_infinite_values_have_a_page(signals: EpisodeSignals) -> 
         signals,
         position=Series(time, position.names, position.values),
         external_torque=Series(torque.time, torque.names, values),
-        settings={"driver": {"state_rate": 0}},
     )
-    found = report_of(odd)
+    found = changed(report_of(odd), settings={"driver": {"state_rate": 0}})
     assert found.good and "external torque [Nm]" in titles(page([found]))
     assert metrics(found)["largest external torque"][0] < 100.0
 
@@ -170,8 +167,8 @@ def test_two_bags_side_by_side(sample: ReportBag) -> None:
 def test_texts_of_a_bag_are_shown_as_they_are(sample: ReportBag) -> None:
     """A message with markup, which could end an element of the page."""
     markup = "</script><b>bold</b>"
-    event = dataclasses.replace(sample.signals.safety[0], message=markup)
-    text = page([changed(sample, signals=dataclasses.replace(sample.signals, safety=(event,)))])
+    event = sample.signals.safety[0]._replace(message=markup)
+    text = page([changed(sample, signals=dataclasses.replace(sample.signals, safety_states=(event,)))])
     assert markup not in text and "&lt;/script&gt;&lt;b&gt;bold&lt;/b&gt;" in text
     assert any(f"{event.name}: {markup}" in trace.get("text", ()) for trace in charts(text)[0]["data"])
 
@@ -201,33 +198,6 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path: Path, capsys: pytest.Ca
     assert run(tmp_path / "text.mcap") == 2
     error = capsys.readouterr().err
     assert "is no mcap file" in error and "Traceback" not in error and error.count("\n") == 1
-
-
-def test_of_a_long_bag_little_is_kept_and_its_numbers_are_the_same(
-    sample: ReportBag, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(bag_signals, "_LONG", 100)
-    thinned = ReportBag(SAMPLE, "sample")
-    numbers, expected = metrics(thinned), metrics(sample)
-    # They begin and end at a joint state that was kept, 10 ms apart at most: sensors' noise in mm.
-    assert numbers.pop("way to the goal")[0] == pytest.approx(expected.pop("way to the goal")[0], rel=1e-3)
-    assert numbers.pop("distance at the end")[0] == pytest.approx(expected.pop("distance at the end")[0], abs=0.02)
-    assert numbers == expected
-    for name in ("position", "command", "external_torque", "contact_force"):
-        whole, part = getattr(sample.signals, name), getattr(thinned.signals, name)
-        assert len(part.time) < 0.3 * len(whole.time), name
-        assert part.time[0] == whole.time[0] and part.time[-1] == whole.time[-1]
-        assert np.isin(part.time, whole.time).all()
-        for extreme in (np.nanmin, np.nanmax):
-            np.testing.assert_array_equal(extreme(part.values, axis=0), extreme(whole.values, axis=0))
-
-
-def test_a_peak_is_kept_although_a_larger_one_is_near() -> None:
-    column, values, times = Arrays(1), np.zeros((1000, 1)), np.arange(1000)
-    column.stride = 10
-    values[[100, 500]] = [[20.0], [8.0]]
-    rows = column._needed(Column(times, times, times, times, ("0",), values, 0, 0))
-    assert {100, 500} <= set(rows.tolist()) and len(rows) <= 200
 
 
 def test_thinned_curves_keep_their_peaks_and_gaps() -> None:

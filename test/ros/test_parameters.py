@@ -6,7 +6,7 @@ from stack_helpers import ros
 
 from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.nodes.observer import ObserverNode
-from contact_reach_ros.ros.parameters import namespace_in, overrides, without_parameters
+from contact_reach_ros.ros.parameters import given_parameters, namespace_in, without_parameters
 from contact_reach_ros.ros.process import initialise
 
 TEXT = """
@@ -29,19 +29,15 @@ def arguments(tmp_path):
     return ["observer", "--ros-args", "--params-file", str(file), "-p", "state_rate:=5e2", "-r", "__ns:=/left"]
 
 
-def test_numbers_of_any_notation_come_in_one_type(arguments):
-    given = {parameter.name: parameter for parameter in overrides(arguments, "observer")}
-    assert given["momentum.torque_offset"].type_ is Parameter.Type.DOUBLE_ARRAY
-    assert given["momentum.coulomb_friction"].value[0] == 0.1
-    assert given["state_rate"].value == 500.0
-
-
 def test_a_node_has_them_in_its_namespace(arguments, monkeypatch):
     with ros():
         monkeypatch.setattr(ObserverNode, "ARGUMENTS", arguments)
         node = ObserverNode()
         try:
             assert node.get_parameter("momentum.gain").value == 50
+            assert node.get_parameter("momentum.torque_offset").type_ is Parameter.Type.DOUBLE_ARRAY
+            assert node.get_parameter("momentum.coulomb_friction").value[0] == 0.1
+            assert node.get_parameter("state_rate").value == 500.0
             assert node.get_parameter("momentum.torque_offset").value[:2] == [0.0, 0.5]
             assert node.settings["momentum"].viscous_friction == (1.0,) * 7
             assert node.settings["momentum"].gravity_in_torque is False
@@ -64,5 +60,5 @@ def test_a_namespace_that_is_none_is_refused(namespace):
 def test_a_parameter_without_its_value_is_refused(last):
     arguments = ["observer", "--ros-args", *last]
     with pytest.raises(SettingsError, match="expected"):
-        overrides(arguments, "observer")
+        given_parameters(arguments, "observer")
         initialise(arguments)

@@ -99,7 +99,7 @@ class TestFoam:
         return Scene("test", ARM, 0, HOME, np.zeros(3), WallSettings(**changes).at(np.zeros(3)))
 
     def test_large_ones_are_answered_more_stiffly_by_the_hardening(self):
-        material = WallSettings().material
+        material = WallSettings().at(np.zeros(3))[0].material
         soft, hard = (
             Foam([dataclasses.replace(wall, material=changed) for wall in self.scene().obstacles])
             for changed in (dataclasses.replace(material, hardening=h) for h in (0.0, 0.5))

@@ -106,12 +106,11 @@ def test_without_a_watchdog_the_last_torque_is_held_for_ever_but_brakes_close_on
 
 
 @pytest.mark.parametrize("command", [np.zeros(6), np.array([0, 0, math.nan, 0, 0, 0, 0])])
-def test_bad_commands_are_refused_and_counted_and_do_not_feed_the_watchdog(bench, command):
+def test_bad_commands_are_refused_and_do_not_feed_the_watchdog(bench, command):
     bench.command(GRAVITY)
     for refused in range(150):
         with pytest.raises(InputError, match=r"^effort_controller/commands: "):
             bench.command(command)
-        assert bench.robot.rejected == refused + 1
         bench.tick()
         if refused == 5:
             np.testing.assert_array_equal(bench.robot.plant.read().torque, GRAVITY)
@@ -130,11 +129,3 @@ def test_a_joint_that_is_too_fast_closes_the_brakes(bench, speed, stops):
         assert bench.robot.stop_reason.startswith("lbr_A5 moves with 2.5")
         bench.tick(200)
         assert np.abs(bench.robot.plant.data.qvel).max() < 1e-3
-
-
-def test_a_drive_that_carries_the_arm_holds_it_without_any_torque():
-    for carries, moves in ((True, False), (False, True)):
-        bench = Bench(enabled=False, carries=carries)
-        bench.command(REST)
-        bench.tick(500)
-        assert (bench.displacement > 1e-3) == moves

@@ -11,13 +11,12 @@ import numpy as np
 from controller_manager_msgs.msg import ControllerState
 from controller_manager_msgs.srv import ListControllers, SetHardwareComponentState, SwitchController
 from franka_msgs.srv import SetFullCollisionBehavior
-from kuka import KukaRobot
+from kuka import CarriedPlant, KukaRobot
 from lbr_fri_idl.msg import LBRState, LBRTorqueCommand
 from lifecycle_msgs.msg import State
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from contact_reach_ros.messages import topics
@@ -41,7 +40,8 @@ class StandIn(DriverNode):
     def __init__(self):
         super().__init__()
         if self.BRAKES:
-            self.robot = SimulatedRobot(self._scene, self.settings["watchdog"], None, self.period, open_after=0.0)
+            plant, watchdog = CarriedPlant(self._scene), self.settings["watchdog"]
+            self.robot = SimulatedRobot(self._scene, watchdog, period=self.period, plant=plant, open_after=0.0)
 
     def activate(self):
         super().activate()
@@ -121,7 +121,7 @@ class FrankaDriver(EffortDriver):
 
     BRAKES = True
     STEP = 1.0
-    STATES = Topic("franka/joint_states", JointState)
+    STATES = Topic("franka/joint_states", "sensor_msgs/msg/JointState")
     SLOW_NS = NANOSECONDS // 30
 
     def __init__(self):
@@ -155,8 +155,8 @@ class FrankaDriver(EffortDriver):
 class LbrDriver(StandIn):
     """lbr_fri_ros2_stack: FRI's state, torque overlays with positions, and the description with its settings."""
 
-    COMMANDS = Topic("lbr/command/torque", LBRTorqueCommand)
-    STATES = Topic("lbr/state", LBRState)
+    COMMANDS = Topic("lbr/command/torque", "lbr_fri_idl/msg/LBRTorqueCommand")
+    STATES = Topic("lbr/state", "lbr_fri_idl/msg/LBRState")
 
     def __init__(self):
         super().__init__()
@@ -202,5 +202,4 @@ if __name__ == "__main__":
             OF_KUKA[name] = float(value) if name == "stiffness" else value
         else:
             setattr(DRIVERS[kind], name, value if name == "RIVAL" else value == "true")
-    carries = [] if kind == "effort" else ["-p", "watchdog.carries:=true"]
-    sys.exit(run(DRIVERS[kind], [*sys.argv, "--ros-args", "-p", "watchdog.enabled:=false", *carries]))
+    sys.exit(run(DRIVERS[kind], [*sys.argv, "--ros-args", "-p", "watchdog.enabled:=false"]))

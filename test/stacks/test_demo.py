@@ -101,7 +101,6 @@ def test_the_goal_is_reached_and_reported(ball):
     assert report["good"] and report["verdict"] == "goal reached" and "goal reached" in printed
     numbers = {name: metric["value"] for name, metric in report["metrics"].items()}
     assert numbers["distance at the end"] <= 10.0
-    assert 100.0 < numbers["way to the goal"] < 800.0
     assert 0.0 <= numbers["largest contact force"] < 30.0
     assert 0.0 < numbers["largest external torque"] < 30.0
     assert numbers["ticks"] > 1000 * numbers["time to the goal"] > 0.0 and numbers["ticks missed"] == 0.0
@@ -123,7 +122,8 @@ def test_the_bag_opens_with_the_mcap_library_and_lacks_no_topic_and_no_tick(ball
     assert counts["/goal_pose"] == counts["/robot_description"] == 1
     assert counts["/reference/pose"] == counts["/reference/posture"]
     # The stop at the end withdraws the plan in force; the planner may be ended before it hears of the stop.
-    assert counts["/reference/pose"] - counts["/plan/path"] in (0, 1) and counts["/plan/path"] > 20
+    plans = counts["/plan/statistics"]
+    assert counts["/reference/pose"] - plans in (0, 1) and plans > 20
     # In lockstep each state comes once, and none is missing.
     states = BagReader(bag).messages("/joint_states")
     stamps = sorted(nanoseconds(state.header.stamp) for state in states)

@@ -1,6 +1,5 @@
 """`contact-reach bench`: what it makes of counters; what it finds depends on the machine."""
 
-import os
 import re
 from functools import partial
 
@@ -10,7 +9,6 @@ from stack_helpers import PATIENT_PLANNER, environment, parameter_file
 
 from contact_reach_ros.bringup.processes import BringupOptions
 from contact_reach_ros.doctor import fitness
-from contact_reach_ros.messages.conversions import to_status
 
 
 def test_ticks_in_between_count_and_the_newest_percentiles():
@@ -24,14 +22,6 @@ def test_ticks_in_between_count_and_the_newest_percentiles():
         assert found[key] == {"p50": us, "p99": us, "p999": us}
 
 
-def test_steps_of_the_solver_are_those_of_the_plans():
-    plans = [
-        to_status("planner", "deadline" if steps == 2 else "stagnated", {"steps": steps}) for steps in (2, 7, 9, 30)
-    ]
-    assert fitness.solver_work(plans) == {"steps_p50": 8.0, "deadline_fraction": 0.25}
-    assert fitness.solver_work([]) == {"steps_p50": 0.0, "deadline_fraction": 0.0}
-
-
 @pytest.mark.usefixtures("signal_handlers")
 @pytest.mark.slow
 def test_the_loop_of_the_running_stack_is_timed_beside_another_program(monkeypatch, tmp_path, capsys):
@@ -42,9 +32,7 @@ def test_the_loop_of_the_running_stack_is_timed_beside_another_program(monkeypat
     assert contact_reach("bench", "--seconds", "2", "--load", "1") == 0
     lines = dict(line.strip().split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
     assert int(lines["ticks"].split(",")[0]) > 500
-    assert all(re.search(r"\d", lines[name]) for name in ("round", "woken", "controller", "solver"))
-    cores, memory = map(float, re.findall(r"[\d.]+", lines["all"]))
-    assert 0.1 < cores < 2.0 * os.cpu_count() and memory > 300.0
+    assert all(re.search(r"\d", lines[name]) for name in ("round", "woken", "controller", "goals"))
 
 
 def test_what_cannot_be_run_is_refused_at_once(capsys):

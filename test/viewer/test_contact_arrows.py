@@ -4,9 +4,9 @@ import numpy as np
 from arm_simulation import ARM
 
 from contact_reach_ros.arm import link_frames
-from contact_reach_ros.messages.safety_state import OK, WARN
+from contact_reach_ros.messages.safety_state import OK, WARN, SafetyState
 from contact_reach_ros.observer.location import Contact
-from contact_reach_ros.viewer.frame import Frame, SafetyStatus
+from contact_reach_ros.viewer.frame import Frame
 from contact_reach_ros.viewer.scene import arrows
 from contact_reach_ros.world.spheres import Spheres
 
@@ -20,8 +20,8 @@ def frame(**more) -> Frame:
 def test_estimate_is_drawn_where_the_observer_says():
     contact = Contact("lbr_link_5", np.array([0.1, 0.2, 0.9]), np.array([0.0, -4.0, 0.0]), np.zeros(ARM.n))
     safety = {
-        "observer": SafetyStatus(WARN, "contact", contact),
-        "controller": SafetyStatus(OK, "tracking"),
+        "observer": SafetyState(0.0, WARN, "observer", "contact", contact),
+        "controller": SafetyState(0.0, OK, "controller", "tracking"),
     }
     (arrow,) = arrows(ARM, frame(obstacles=None, safety=safety))
     assert arrow.estimated

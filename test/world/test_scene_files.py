@@ -138,23 +138,3 @@ def test_target_is_three_numbers():
     for text in ("0.5 0.1", "a b c", "nan 0 0"):
         with pytest.raises(SceneError, match="three finite numbers"):
             parse_target(text)
-
-
-def test_all_that_is_wrong_with_a_file_is_said_at_once(tmp_path):
-    file = tmp_path / "own.yaml"
-    file.write_text("bal: {}\nball: {radius: 9, mass: heavy}\nobstacles: [{kind: cone}, {kind: box, gap: 1}]\n")
-    with pytest.raises(SettingsError) as error:
-        read_scene(str(file))
-    lines = str(error.value).splitlines()
-    assert len(lines) == 5 and all(line.startswith(str(file)) for line in lines)
-    for word, line in zip(("bal", "radius", "mass", "cone", "gap"), lines, strict=True):
-        assert word in line
-
-
-@pytest.mark.parametrize(("nodes", "warns"), [([2, 11, 3], False), ([2, 6, 3], True)])
-def test_a_lattice_that_lets_the_arm_through_is_warned_of(tmp_path, caplog, nodes, warns):
-    file = tmp_path / "own.yaml"
-    position, center = [0.5, 0.2, 0.3], [0.2, -0.6, 0.9]
-    file.write_text(f"target: {{position: {position}}}\nwall: {{nodes: {nodes}, center: {center}}}\n")
-    make_scene(read_scene(str(file)), ARM, 0)
-    assert ("passes between its nodes" in caplog.text) is warns

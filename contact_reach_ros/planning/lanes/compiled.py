@@ -9,7 +9,7 @@ import logging
 import math
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,6 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
 from contact_reach_ros.planning.lanes.emit import module
 from contact_reach_ros.planning.lanes.trace import Trace, UnknownOperationError
-from contact_reach_ros.planning.settings import XLA
 from contact_reach_ros.resources import kept
 
 _log = logging.getLogger(__name__)
@@ -34,29 +33,26 @@ Function = Callable[[Any, jax.Array], Any]
 class Compiled:
     """A function, compiled for the CPU that it runs on; programs of JAX may call it, but not differentiate it.
 
-    It stays what it is, for XLA to compile, on another device, with the backend "xla", and, with a warning, where it
-    has an operation that the compiler does not know or is too large for it.
+    It stays what it is, for XLA to compile, on another device and, with a warning, where it has an operation that the
+    compiler does not know or is too large for it.
 
     Parameters
     ----------
     function
         To compile.
-    backend
-        As the setting `planning.backend`.
     source
         What the function differentiates, with the first of what it is given. It returns as much, and is traced in a
         quarter of the time: if its derivative is in the cache, the function is not traced at all.
     """
 
-    def __init__(self, function: Function, backend: str, source: Compiled | None = None) -> None:
+    def __init__(self, function: Function, source: Compiled | None = None) -> None:
         self._function = function
-        self._backend = backend
         self._source = source
         self._found = functools.cache(self._find)
 
     def __call__(self, given: Any, candidates: jax.Array) -> Any:
         """What the function returns for what it is given and candidates (n, B)."""
-        if self._backend == XLA or jax.default_backend() != "cpu":
+        if jax.default_backend() != "cpu":
             return self._function(given, candidates)
         found = self._target(given, len(candidates))
         if found is None:
@@ -144,39 +140,20 @@ def _module(jaxpr: Any) -> str:
 
 
 def _digest(closed: Any) -> str:
-    """Hash of all that a closed jaxpr computes, and of its own rules of differentiation.
+    """Hash of all that a closed jaxpr computes, and of its own rules of differentiation."""
+    return hashlib.sha256(repr([str(closed), *_unwritten(closed)]).encode()).hexdigest()
 
-    It takes a tenth of the time that the jaxpr's text takes.
-    """
-    key = hashlib.sha256()
-    names: dict[Any, int] = {}
 
-    def name(variable: Any) -> object:
-        if isinstance(variable, Literal):
-            return np.asarray(variable.val).tolist()
-        return names.setdefault(variable, len(names)), variable.aval.shape, variable.aval.dtype.name
-
-    def add(*parts: Any) -> None:
-        key.update(repr(parts).encode())
-
-    jaxpr = closed.jaxpr
-    add(
-        [name(each) for each in (*jaxpr.constvars, *jaxpr.invars)],
-        [np.asarray(each).tolist() for each in closed.consts],
-    )
-    for equation in jaxpr.eqns:
-        add(equation.primitive.name, [name(each) for each in (*equation.invars, *equation.outvars)])
+def _unwritten(closed: Any) -> Iterator[Any]:
+    """What the text of a closed jaxpr lacks: values of constants, and rules of differentiation."""
+    yield [np.asarray(each).tolist() for each in closed.consts]
+    for equation in closed.jaxpr.eqns:
         if equation.primitive.name == "custom_jvp_call":
             rule = _rule(equation)
-            # The text has no values of constants.
-            add(str(rule), [np.asarray(each).tolist() for each in rule.consts])
-        for option, value in equation.params.items():
-            if hasattr(value, "jaxpr"):
-                add(_digest(value))
-            elif not callable(value):
-                add(option, value)
-    add([name(each) for each in jaxpr.outvars])
-    return key.hexdigest()
+            yield str(rule), [np.asarray(each).tolist() for each in rule.consts]
+        for value in equation.params.values():
+            if isinstance(value, ClosedJaxpr):
+                yield from _unwritten(value)
 
 
 def _rule(equation: Any) -> Any:

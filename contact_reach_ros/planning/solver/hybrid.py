@@ -71,10 +71,10 @@ class HybridSolver:
     shift = staticmethod(shift_distribution)
 
     def __init__(self, cost: CostFunction, n: int, settings: PlanningSettings) -> None:
-        self._cost = Compiled(cost, settings.backend)
-        self._slopes = Compiled(functools.partial(slopes, cost), settings.backend, self._cost)
+        self._cost = Compiled(cost)
+        self._slopes = Compiled(functools.partial(slopes, cost), self._cost)
         self._settings = settings
-        self._seed = settings.seed
+        self._seed = 0
         self.max_steps = settings.max_steps
         self.stagnation_steps = STAGNATION_STEPS
         self._rates = Rates.of(n, settings.elite)
@@ -128,7 +128,7 @@ class HybridSolver:
         valid, elite = jnp.isfinite(best).astype(costs.dtype), steps[:, index]
         mean = distribution.mean + distribution.sigma * (elite @ valid) / jnp.maximum(valid.sum(), 1.0)
         # Lines 14 to 18.
-        mean, cost = cheapest(*self._search_line(problem, jnp.clip(mean, -1.0, 1.0), draw))
+        mean, cost = cheapest(*self._search_line(problem, jnp.clip(mean, -1.0, 1.0), (*draw, 0)))
         better = cost < search.best_cost
         return Search(
             distribution=update(self._rates, distribution, elite, valid, mean),
@@ -145,18 +145,13 @@ class HybridSolver:
         spread = jnp.where(jnp.isfinite(best[-1]), best[0] - best[-1], 0.0)
         return _BOUNDARY_WEIGHT * spread * ((points - repaired) ** 2).sum(axis=0)
 
-    def _search_line(
-        self, problem: Any, mean: jax.Array, draw: Draw, line: int | jax.Array = 0
-    ) -> tuple[jax.Array, jax.Array]:
-        """Lines 14 and 15: points (n, k) along the descent direction, the mean (n,) first, and their costs (k,).
-
-        `line` counts the line searches of one step, for solvers with several.
-        """
+    def _search_line(self, problem: Any, mean: jax.Array, draw: Draw) -> tuple[jax.Array, jax.Array]:
+        """Lines 14 and 15: points (n, k) along the descent direction, the mean (n,) first, and their costs (k,)."""
         directions = jnp.eye(len(mean), dtype=mean.dtype)
         slope = self._slopes((problem, mean[:, None]), directions)
         slope = jnp.where(jnp.isfinite(slope), slope, 0.0)
         direction = GRADIENT_REACH * slope / (jnp.abs(slope).max() + 1e-12)
-        beta = jax.random.uniform(seeded_key((*draw, line), 1), (self._settings.population,), mean.dtype) ** 2
+        beta = jax.random.uniform(seeded_key(draw, 1), (self._settings.population,), mean.dtype) ** 2
         beta = beta.at[0].set(0.0)
         points = jnp.clip(mean[:, None] - direction[:, None] * beta, -1.0, 1.0)
         return points, self._cost(problem, points)

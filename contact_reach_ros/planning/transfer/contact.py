@@ -18,6 +18,9 @@ from contact_reach_ros.planning.transfer.arithmetic import collect, cross, dot, 
 from contact_reach_ros.planning.transfer.dynamics import Frames, place_capsules
 from contact_reach_ros.planning.transfer.model import ArmModel
 
+CONTACT_STIFFNESS = 1000.0
+"""Force per penetration between a link and a sphere, N/m: that of foam in scenes, where a millimetre is a newton."""
+
 _CONTACT_INSTANT = 0.7
 """Instant at which contact is evaluated, as a share of the step.
 
@@ -71,10 +74,9 @@ def contact_step(
     arm: ArmModel,
     frames: Frames,
     obstacles: Obstacles,
-    contact_stiffness: float,
     timestep: float | jax.Array,
 ) -> Contact:
-    """Contact over a step of `timestep` seconds with the links at the given frames; `contact_stiffness` in N/m.
+    """Contact over a step of `timestep` seconds with the links at the given frames.
 
     The forces are those at a later instant of the step, when the spheres have given way to them: those at its beginning
     would throw light spheres off. A sphere gives way to the forces of all capsules on it, along their sum, and to those
@@ -100,13 +102,13 @@ def contact_step(
     along = sum_over(normal * depth, 1)
     entered = jnp.sqrt(dot(along, along) + _TOUCH**2)
     cosine = dot(normal, (along / entered)[:, None])
-    stiffness = contact_stiffness * sum_over(jnp.where(depth > 0.0, cosine * cosine, 0.0), 0)
+    stiffness = CONTACT_STIFFNESS * sum_over(jnp.where(depth > 0.0, cosine * cosine, 0.0), 0)
     # How far a sphere yields per force on it, from estimated shares of the force that are corrected once.
     yielding = _joined(touched_compliance, entered[None])[0] / entered
     shares = entered / (1.0 + stiffness * yielding)
     yielding = _joined(touched_compliance, shares[None])[0] / shares
-    yielded = entered * (contact_stiffness * yielding / (1.0 + stiffness * yielding))
-    force = contact_stiffness * jnp.maximum(depth - cosine * yielded, 0.0)
+    yielded = entered * (CONTACT_STIFFNESS * yielding / (1.0 + stiffness * yielding))
+    force = CONTACT_STIFFNESS * jnp.maximum(depth - cosine * yielded, 0.0)
     on_capsule = normal * force
     total = sum_over(on_capsule, 2)
     # Σ (start + share * segment) x force, with the sum taken before any cross product.

@@ -48,8 +48,6 @@ class System:
 
     arm: ArmModel
     gains: ImpedanceSettings
-    contact_stiffness: float
-    """N/m."""
     timestep: float | jax.Array
     """s."""
 
@@ -113,7 +111,7 @@ def step(sys: System, state: State, act: Reference) -> State:
     contact = None
     obstacles, link_force = state.obstacles, state.link_force
     if obstacles is not None:
-        contact = contact_step(sys.arm, frames, obstacles, sys.contact_stiffness, timestep)
+        contact = contact_step(sys.arm, frames, obstacles, timestep)
         obstacles = obstacles._replace(center=contact.center)
         link_force = contact.link_force
     acceleration = joint_acceleration(sys.gains, frames, dynamics, drift, q, state.qd, act, contact, timestep)
