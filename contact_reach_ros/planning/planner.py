@@ -321,7 +321,8 @@ class Planner:
         effect_ns = stamp_ns + max(self.settings.latency_ns, min(max(self._took_ns), _MAX_LATENCY_NS))
         goal = self._stream.at(effect_ns, stamp_ns)
         rest = progress.rest if goal.rotation is None and self._task != POSITION else None
-        return Request(q, v, stamp_ns, effect_ns, goal, self.obstacles.spheres, self.speed_scale, rest=rest)
+        spheres, scale = self.obstacles.spheres, self.speed_scale
+        return Request(q, v, stamp_ns, effect_ns, goal, spheres, scale, holds=progress.holds, rest=rest)
 
     def solve(self, request: Request) -> Plan:
         """Make the plan that was requested.

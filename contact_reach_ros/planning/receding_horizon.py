@@ -198,13 +198,19 @@ class RecedingHorizonPlanner:
         pieces = pieces_between(plans, hold, state_ns, effect_ns, timestep)
         bodies = nearest_bodies(self._arm, q, spheres.environment)
         # From which the reference moves, unless it steps.
-        before = Reference(*(reference_at(plans, effect_ns) or hold)) if self._ramp_s else None
+        in_force = reference_at(plans, effect_ns)
+        before = Reference(*(in_force or hold)) if self._ramp_s else None
         problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), request, bodies, before)
 
-        state, start_cost = self._start(problem, request)
+        start, state, start_cost = self._start(problem, request)
         memory = self.memory
         since_reset = 0 if memory is None else memory.plans
-        solution = self._solver.solve(problem, state, start_cost, since_reset, until)
+        held = in_force if isinstance(in_force, Reference) and request.holds and not request.on_detour else None
+        if held is not None and self._permits(problem, start):
+            solution = Solution(start, start_cost, state, 0, "held", (start_cost,))
+        else:
+            held = None
+            solution = self._solver.solve(problem, state, start_cost, since_reset, until)
         if not math.isfinite(solution.cost):
             raise InputError(
                 f"no motion from q = {q.tolist()}, v = {v.tolist()} has a finite cost: expected a state that the arm "
@@ -222,11 +228,16 @@ class RecedingHorizonPlanner:
         finally:
             self._last_check_s = time.perf_counter() - solved
         self._number += 1
-        plan = self._plan_of(solution, rollout, terms, request, begin, before)
+        plan = self._plan_of(solution, rollout, terms, request, begin, before, held)
         earlier = () if memory is None else memory.trajectories[1 - _PLANS_KEPT :]
         approach, trajectories = self._approach_of(plan, request), (*earlier, plan)
         self.memory = Memory(trajectories, request, solution.best, solution.state, approach, since_reset + 1)
         return plan
+
+    def _permits(self, problem: Problem, point: Array) -> bool:
+        """Whether the motion of a point (N,) presses no harder than is permitted."""
+        rollout, _ = self._evaluate(problem, _pair(point))
+        return not bool((np.asarray(rollout.link_force) > self._permitted_force).any())
 
     def _hold(self, q: Array) -> Held:
         """What is in force without a plan, at joint angles `q` (n,), rad."""
@@ -311,8 +322,11 @@ class RecedingHorizonPlanner:
         )
         return jax.device_put(problem)
 
-    def _start(self, problem: Problem, request: Request) -> tuple[State, float]:
-        """Start of the solver: the rest of the last plan, or standing still if that costs less."""
+    def _start(self, problem: Problem, request: Request) -> tuple[Array, State, float]:
+        """A point (N,) to start from, the solver's state there, and the point's cost.
+
+        It is the rest of the last plan, or standing still if that costs less.
+        """
         points = _pair(self._still(problem))
         count, passed, carried = self._space.vectors, 0.0, None
         memory = self.memory
@@ -330,8 +344,8 @@ class RecedingHorizonPlanner:
         index = int(np.argmin(costs))
         best = points[:, index]
         if carried is None:
-            return self._solver.init(best, self._space.spread), float(costs[index])
-        return self._solver.shift(carried, best, self._space.spread, count, passed), float(costs[index])
+            return best, self._solver.init(best, self._space.spread), float(costs[index])
+        return best, self._solver.shift(carried, best, self._space.spread, count, passed), float(costs[index])
 
     def _costs(self, problem: Problem, points: np.ndarray) -> np.ndarray:
         """Costs (2,) of two points (N, 2)."""
@@ -347,9 +361,12 @@ class RecedingHorizonPlanner:
         request: Request,
         begin: float,
         before: Reference | None,
+        held: Reference | None,
     ) -> Plan:
         first = jax.tree.map(lambda array: np.asarray(array)[..., 0].astype(float), rollout)
         knots = first.reference
+        if held is not None:
+            knots = Reference(*(np.repeat(part[None], len(knots.position), axis=0) for part in held))
         if self._detours.may_search(request):
             # Without a plan the controller gives way to contact, and stops where that does not end it.
             count = int(MAX_PLAN_DURATION / self._settings.knot_duration)
