@@ -26,7 +26,7 @@ from contact_reach_ros.messages import topics
 from contact_reach_ros.messages.cdr import stamp_in
 from contact_reach_ros.messages.topics import Qos, Topic
 from contact_reach_ros.resources import versions
-from contact_reach_ros.ros.inbox import NO_EVENTS, LoopGroup, qos_profile
+from contact_reach_ros.ros.inbox import LoopGroup, qos_profile
 from contact_reach_ros.ros.lockstep import FOREVER_NS, promise
 from contact_reach_ros.ros.managed_node import ManagedNode
 from contact_reach_ros.ros.process import run
@@ -311,15 +311,8 @@ class TopicRecorder:
         else:
             self.drain()
             self._node.destroy_subscription(before.subscription)
-        # Who offers less is recorded all the same, a little later: that need not be logged.
         subscription = self._node.create_subscription(
-            topic.type,
-            name,
-            lambda _: None,
-            qos_profile(qos),
-            callback_group=self._group,
-            event_callbacks=NO_EVENTS,
-            raw=True,
+            topic.type, name, lambda _: None, qos_profile(qos), callback_group=self._group, raw=True
         )
         loss = LossCounter() if before is None else before.loss
         self._recorded[name] = _Recorded(self._name_in_bag(topic), topic.type, qos, subscription, loss)

@@ -9,12 +9,13 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from copy import copy
 
 from rclpy.duration import Infinite
 from rclpy.node import Node, NodeNameNonExistentError
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from contact_reach_ros.errors import InputError
@@ -104,6 +105,31 @@ def rivalry(node: Node, exclusive: Iterable[Topic]) -> str:
             expected = alone if is_alone else f"one each of {', '.join(owners)}"
             reasons.append(f"{len(names)} publishers on {resolved} ({', '.join(names)}), expected {expected}")
     return "; ".join(reasons)
+
+
+def mismatches(node: Node, heard: Iterable[Subscription], counts: dict[tuple[str, str], int]) -> Iterator[str]:
+    """Yield a line for each endpoint that the quality of service keeps from the node's publishers or the subscriptions.
+
+    `counts` holds the numbers of endpoints at the last look, and is updated: it looks again where they have changed.
+    """
+    requested: dict[str, list[QoSProfile]] = {}
+    for each in heard:
+        requested.setdefault(each.topic_name, []).append(each.qos_profile)
+    offered = {publisher.topic_name: [as_offered(publisher.qos_profile)] for publisher in node.publishers}
+    for profiles, count, look, what, remedy in (
+        (requested, node.count_publishers, node.get_publishers_info_by_topic, "hears nothing from", "offer"),
+        (offered, node.count_subscribers, node.get_subscriptions_info_by_topic, "is not heard by", "request at most"),
+    ):
+        for name, own in profiles.items():
+            before, counts[name, what] = counts.get((name, what)), count(name)
+            for other in look(name) if counts[name, what] != before else ():
+                order = 1 if profiles is requested else -1
+                found = [qos_check_compatible(*(other.qos_profile, mine)[::order]) for mine in own]
+                # Several subscriptions to a topic complement each other.
+                if all(compatible == QoSCompatibility.ERROR for compatible, _ in found):
+                    words = f"{own[0].reliability.name}, {own[0].durability.name}".lower().replace("_", " ")
+                    why = found[0][1].strip().rstrip(";")
+                    yield f"{name}: this node {what} {node_of(other)} ({why}); let that one {remedy} {words}"
 
 
 def as_offered(profile: QoSProfile) -> QoSProfile:

@@ -13,8 +13,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
 from typing import Any, NamedTuple, TypeVar
 
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.event_handler import EventHandler, SubscriptionEventCallbacks
+from rclpy.callback_groups import CallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -30,8 +29,6 @@ _T = TypeVar("_T")
 _PATIENCE_S = 2.0
 _HOLD_NS = 100_000_000
 
-NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
-"""For a subscription that need not hear every publisher: rclpy logs those that another one does not hear."""
 LARGEST_SCENE = 1 << 22
 """Bytes of a message with obstacles or other markers, for nodes without a loop that others wait for."""
 _LARGEST = 1 << 16
@@ -47,12 +44,12 @@ def qos_profile(qos: Qos) -> QoSProfile:
     )
 
 
-class LoopGroup(ReentrantCallbackGroup):
-    """Subscriptions that executors leave alone but for their events: a loop thread takes their messages itself."""
+class LoopGroup(CallbackGroup):
+    """Subscriptions that every executor leaves alone: a loop thread takes their messages itself."""
 
     def can_execute(self, entity: Any) -> bool:
-        """Whether an executor may handle the entity: it logs publishers that the quality of service keeps away."""
-        return isinstance(entity, EventHandler)
+        """Return False: executors skip the entity."""
+        return False
 
 
 class _Listened(NamedTuple):
@@ -140,19 +137,17 @@ class Inbox:
         """
         qos, code = qos or topic.qos, int(CODES.get(topic.name, 0))
         # Who requests kept messages hears no publisher that keeps none.
-        both = topic.from_anybody and qos.latched
-        for each in (qos, qos._replace(latched=False)) if both else (qos,):
+        for each in (qos, qos._replace(latched=False)) if topic.from_anybody and qos.latched else (qos,):
             subscription = self._node.create_subscription(
-                topic.type,
-                topic.name,
-                handle,
-                qos_profile(each),
-                callback_group=self._group,
-                event_callbacks=NO_EVENTS if both and each.latched else None,
-                raw=True,
+                topic.type, topic.name, handle, qos_profile(each), callback_group=self._group, raw=True
             )
             listened = _Listened(topic, subscription, serialized, handle, qos.depth == 1, code, ready, largest)
             (self._subscriptions if hurried else self._unhurried).append(listened)
+
+    @property
+    def subscriptions(self) -> list[Subscription]:
+        """All subscriptions."""
+        return [listened.subscription for listened in (*self._subscriptions, *self._unhurried)]
 
     def wait(self, timeout_ns: int) -> None:
         """Sleep until a message arrives, `wake` is called or the timeout is over; handle what has arrived."""

@@ -36,7 +36,7 @@ from contact_reach_ros.messages.topics import (
 )
 from contact_reach_ros.resources import VERSION
 from contact_reach_ros.ros.boundary import TRANSITIONS, Boundary
-from contact_reach_ros.ros.graph import LOOK_AROUND_S, rivalry
+from contact_reach_ros.ros.graph import LOOK_AROUND_S, mismatches, rivalry
 from contact_reach_ros.ros.inbox import Inbox, qos_profile
 from contact_reach_ros.ros.lockstep import Lockstep
 from contact_reach_ros.ros.parameters import declare, given_parameters
@@ -104,6 +104,7 @@ class ManagedNode(LifecycleNode):
         self._diagnostics = self.make_publisher(DIAGNOSTICS)
         self._settings_publisher = self.make_publisher(SETTINGS)
         self._stop = threading.Event()
+        self._counts: dict[tuple[str, str], int] = {}
         self._lines: deque[str] = deque()
         self._said = self.create_guard_condition(self.write_out)
         self.every(1.0, self._publish_diagnostics)
@@ -342,6 +343,8 @@ class ManagedNode(LifecycleNode):
 
     def _publish_diagnostics(self) -> None:
         self._log_refusals()
+        for line in mismatches(self, self.inbox.subscriptions, self._counts):
+            self.get_logger().warning(line)
         summary, values = self.diagnosis()
         shown = {key: f"{value:.6g}" if isinstance(value, float) else value for key, value in values.items()}
         shown |= {f"refused {what}": count for what, count in self.refused.items()}
