@@ -97,7 +97,7 @@ class GoalProgress:
         is_there = self._task.reached(position, target)
         if target.moves or not is_there:
             self.rest = self._reached_ns = None
-        elif self.rest is None or self._reached_ns is None or stamp_ns < self._reached_ns:
+        elif self._reached_ns is None or stamp_ns < self._reached_ns:
             self.rest, self._reached_ns = rotation.copy(), stamp_ns
         at_rest = not target.moves and self._task.settled(position, rotation, speed, target)
         self.holds = at_rest and self._reached_ns is not None and stamp_ns - self._reached_ns >= HOLD_NS

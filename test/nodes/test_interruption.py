@@ -48,7 +48,9 @@ def test_a_node_that_is_still_starting_ends_well(number, seconds, tmp_path):
         assert not is_handled(process, signal.SIGINT)
         time.sleep(seconds)
         process.send_signal(number)
-        assert process.wait(30) == -number and "Traceback" not in output.read_text()
+        assert process.wait(30) == -number
+        # A quick one has begun to compile by then.
+        assert all("planner: preparing the programs" in line for line in output.read_text().splitlines())
 
 
 def test_a_recorder_that_is_interrupted_at_once_completes_its_bag(tmp_path):
