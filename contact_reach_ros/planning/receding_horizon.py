@@ -235,7 +235,7 @@ class RecedingHorizonPlanner:
         return plan
 
     def _permits(self, problem: Problem, point: Array) -> bool:
-        """Whether the motion of a point (N,) presses no harder than is permitted."""
+        """Whether the motion of a point (N,) presses no harder than is permitted: from where it begins, as now."""
         rollout, _ = self._evaluate(problem, _pair(point))
         return not bool((np.asarray(rollout.link_force) > self._permitted_force).any())
 

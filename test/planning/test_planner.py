@@ -31,6 +31,7 @@ GOAL = Goal([0.5, 0.1, 0.3])
 OTHER_GOAL = Goal([0.4, -0.2, 0.4], FREE)
 BEYOND = Goal([5.0, 0.0, 0.0])
 TIP, ROTATION = RobotModel(ARM).tip_pose(HOME)
+BESIDE = Goal(TIP + np.array([0.02, 0.0, 0.0]))
 
 
 def make(
@@ -225,6 +226,12 @@ class TestGoals:
                 np.testing.assert_allclose(rotation, RobotModel(ARM).tip_pose(held)[1], atol=1e-12)
         planner.command(Goal(TIP, FREE))
         assert planner.request(state(120, HOME + 0.3)).rotation is None
+
+    @pytest.mark.parametrize(("goal", "holds"), [(Goal(TIP), True), (BESIDE, False)])
+    def test_a_tip_that_has_rested_there_for_half_a_second_is_to_hold(self, goal, holds):
+        planner = begin(make(), goal)
+        first, *_, last = requests(planner, 1, 600).values()
+        assert not first.holds and last.holds is holds
 
     def test_one_that_moves_holds_no_orientation_of_its_own(self):
         planner = begin(make(), Goal(TIP, FREE))
