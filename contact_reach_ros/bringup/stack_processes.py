@@ -154,13 +154,13 @@ class StackProcesses:
         for process in first:
             self._start(process)
         wait_for(first, _UP, self._is_offered("get_state", GetState))
-        # Once more: discovery has settled while the first processes came up.
-        refuse_beside_another(self.client.node, self._names, self._running, patience=0.0)
         for process in loops:
             self._start(process)
         wait_for(first, _ACTIVE, self._state_of)
         self._optional |= {process.name for process in first if not process.essential}
         wait_for(loops, _UP, self._is_offered("change_state", ChangeState))
+        # Once more, before anything acts: discovery has settled while the processes came up.
+        refuse_beside_another(self.client.node, self._names, self._running, patience=0.0)
         wait_for(loops, _CONFIGURED, self._taken_to(_CONFIGURED, Transition.TRANSITION_CONFIGURE, loops))
         wait_for(loops, _ACTIVE, self._taken_to(_ACTIVE, Transition.TRANSITION_ACTIVATE, loops))
 
