@@ -100,7 +100,6 @@ class Setup:
     scene's."""
     timeout: float = 20.0
     """Time to reach the goal, s, for methods that follow no path."""
-    """A first goal, m: see `EpisodeOptions`."""
 
     @classmethod
     def of(cls, name: str, budget: ContactBudget, arm: str = DEFAULT_ARM, task: str = AUTO, **changes: Any) -> Setup:

@@ -12,9 +12,10 @@ With v the joint speeds, M the mass matrix, J the flange Jacobian and τ₀ the 
 where a is the task acceleration that law (1) asks for; C + g cancel, because the controller knows them. M, J and the
 torques go through one Cholesky factorisation each of M and of J M⁻¹ Jᵀ.
 
-Near singularities the controller lifts small eigenvalues of J M⁻¹ Jᵀ, which here would need an eigenvalue decomposition
-of every candidate. Instead, the pivots of its factorisation are lifted by the same rule. Away from singularities both
-leave the matrix alone. Near them Λ differs, and joint speeds are capped as the controller caps them.
+Near singularities the controller lifts small eigenvalues of J M⁻¹ Jᵀ. Here the smallest one is lifted, by the same
+rule: its eigenvector comes from two steps of inverse iteration, which need no eigenvalue decomposition of every
+candidate. Of a second small eigenvalue, which needs two singularities at once, only the inverse is bounded. Joint
+speeds are capped as the controller caps them.
 """
 
 from __future__ import annotations
@@ -40,6 +41,12 @@ N_TASK = 6
 _CAP = 1.05 * JOINT_SHARE
 """Share of a joint's speed limit at which the controller's push has faded: at a singularity the laws would ask for
 joint speeds that 25 ms steps cannot follow."""
+
+_SHIFT = 0.01
+"""What is added to J M⁻¹ Jᵀ before it is factorised, as a share of the floor: more than its error of rounding."""
+
+_TINY = 1e-12
+"""Square of a negligible wrench: keeps the eigenvector, and its derivative, of an arm that nothing drives finite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,30 +246,60 @@ def _task_wrench(
 
     `solved` holds for each joint the entries of L⁻¹ [Jᵀ τ₀ τ_contact], the last only if there is contact.
     """
-    n_rows, n_task = solved[0].shape[0], len(desired)
+    n_rows, n_task, shift = solved[0].shape[0], len(desired), _SHIFT * floor
     columns: list[jax.Array] = []
-    pivots = []
+    inverses: list[jax.Array] = []
+    right: list[jax.Array] = []
     for axis in range(n_task):
         column = solved[0][axis:] * solved[0][axis][None]
         for joint in range(1, len(solved)):
             column = column + solved[joint][axis:] * solved[joint][axis][None]
         matrix_part, torque_part = column[: n_task - axis], column[n_task - axis :]
-        right = desired[axis] - torque_part[0]
+        wanted = desired[axis] - torque_part[0]
         if n_rows > n_task + 1:
-            right = right + (1.0 / implicit - 1.0) * torque_part[1]
-        column = jnp.concatenate([matrix_part, right[None]])
+            wanted = wanted + (1.0 / implicit - 1.0) * torque_part[1]
+        right.append(wanted)
+        column = matrix_part
         for earlier in range(axis):
             passed = columns[earlier][axis - earlier :]
             column = column - passed * passed[0][None]
-        # Below the floor, floor/2 · (1 + (pivot/floor)²), as in the controller.
-        share = jnp.clip(column[0] * (1.0 / floor), 0.0, 1.0)
-        pivot = jnp.sqrt(jnp.maximum(column[0], (0.5 * floor) * (1.0 + share * share)))
-        pivots.append(pivot)
-        columns.append(column / pivot[None])
-    wrench: list[jax.Array] = [desired[0]] * n_task
-    for axis in reversed(range(n_task)):
-        total = columns[axis][n_task - axis]
-        for later in range(axis + 1, n_task):
-            total = total - columns[axis][later - axis] * wrench[later]
-        wrench[axis] = total / pivots[axis]
-    return wrench
+        # The shift bounds the pivots from below, but for rounding.
+        inverses.append(jax.lax.rsqrt(jnp.maximum(column[0] + shift, shift)))
+        columns.append(column * inverses[axis][None])  # The diagonal is not used.
+    wrench = _solved(columns, inverses, right)
+    # The smallest eigenvalue s and its vector, towards which the inverse draws any vector.
+    size = jax.lax.rsqrt(_product(wrench, wrench) + _TINY)
+    before = _solved(columns, inverses, [each * size for each in wrench])
+    vector = _solved(columns, inverses, before)
+    square = _product(vector, vector) + _TINY
+    shifted = (_product(before, vector) + _TINY) / square
+    least = shifted - shift
+    # Below the floor s + floor/2 · (1 − s/floor)², as in the controller; of the implicit gains, which resist along s as
+    # well, only what is lifted counts less.
+    share = jnp.minimum(least * (1.0 / floor), 1.0)
+    lifted = least + (0.5 * floor / implicit) * (1.0 - share) ** 2
+    correction = (1.0 / lifted - 1.0 / shifted) * _product(vector, right) / square
+    return [each + correction * along for each, along in zip(wrench, vector, strict=True)]
+
+
+def _solved(columns: list[jax.Array], inverses: list[jax.Array], right: list[jax.Array]) -> list[jax.Array]:
+    """The rows (B,) of x in L Lᵀ x = right, with the columns of L below the diagonal and the inverses of that."""
+    forward: list[jax.Array] = []
+    for axis, value in enumerate(right):
+        for earlier in range(axis):
+            value = value - columns[earlier][axis - earlier] * forward[earlier]
+        forward.append(value * inverses[axis])
+    solution = forward.copy()
+    for axis in reversed(range(len(right))):
+        total = forward[axis]
+        for later in range(axis + 1, len(right)):
+            total = total - columns[axis][later - axis] * solution[later]
+        solution[axis] = total * inverses[axis]
+    return solution
+
+
+def _product(first: list[jax.Array], second: list[jax.Array]) -> jax.Array:
+    total = first[0] * second[0]
+    for one, other in zip(first[1:], second[1:], strict=True):
+        total = total + one * other
+    return total
