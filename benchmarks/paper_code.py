@@ -67,7 +67,10 @@ class AuthorsCma:
     magnitude for the distance from there. A search begins at the last mean, with a fresh distribution.
     """
 
-    def __init__(self, cost: CostFunction, n: int, settings: PlanningSettings) -> None:
+    def __init__(self, cost: CostFunction, spread: FloatArray, settings: PlanningSettings) -> None:
+        n = len(spread)
+        self.scale = SIGMA / _PAPER_SIGMA * np.array(spread, float)
+        """(n,) standard deviations when a search begins, in units of the bounds."""
         self._cost = jax.jit(cost)
         self._seed, self._most = 0, settings.max_steps
         self.population = 4 + math.floor(3.0 * math.log(n))
@@ -92,19 +95,13 @@ class AuthorsCma:
         """Draw other random numbers from now on."""
         self._seed = seed
 
-    def init(self, mean: FloatArray, spread: FloatArray) -> Any:
-        """The mean and the standard deviations, in units of the bounds."""
-        return np.array(mean, float), SIGMA / _PAPER_SIGMA * np.array(spread, float)
-
-    def shift(self, state: Any, mean: FloatArray, spread: FloatArray, knots: int, elapsed: float) -> Any:
-        """A fresh search."""
-        return self.init(mean, spread)
-
-    def solve(self, problem: Any, state: Any, start_cost: float, number: int, until: float = math.inf) -> Solution:
+    def solve(
+        self, problem: Any, start: FloatArray, start_cost: float, number: int, until: float = math.inf
+    ) -> Solution:
         """As `Solver.solve`, without a deadline."""
-        mean, scale = state
+        mean, scale = np.array(start, float), self.scale
         n, random = len(mean), np.random.default_rng((self._seed, number))
-        start, sigma, covariance = mean, 1.0, np.eye(n)
+        sigma, covariance = 1.0, np.eye(n)
         path_sigma, path, costs = np.zeros(n), np.zeros(n), [start_cost]
         spans: list[float] = []
         weights, best, reason = self._weights, np.clip(mean, -1.0, 1.0), "max_steps"
@@ -143,7 +140,7 @@ class AuthorsCma:
         last, first = np.asarray(self._cost(problem, pair), float)
         if not last <= first:
             best, last = pair[:, 1].astype(float), first
-        return Solution(best, float(last), (best, scale), step, reason, (*costs, float(last)))
+        return Solution(best, float(last), step, reason, (*costs, float(last)))
 
 
 def _like(costs: Array, distances: Array) -> Array:

@@ -59,18 +59,17 @@ def _timed(settings: PlanningSettings, states: Sequence[RecordedPlan]) -> Report
     space = ReferenceSpace(load_arm(), settings, ImpedanceSettings())
     cost, size = space.cost, len(space.bounds)
     still = np.zeros(size)
-    solver = make_tireless("hybrid", cost, size, settings)
+    solver = make_tireless("hybrid", cost, space.spread, settings)
     began = time.perf_counter()
-    solver.solve(states[0].problem, solver.init(still, space.spread), math.inf, 0)
+    solver.solve(states[0].problem, still, math.inf, 0)
     ready_s = time.perf_counter() - began
     cost_of = make_cost_of(cost, size, settings)
     times, decreases = [], []
     for number, state in enumerate(states):
         start_cost = cost_of(state.problem, still)
         for search in range(_SEARCHES):
-            start = solver.init(still, space.spread)
             began = time.perf_counter()
-            found = solver.solve(state.problem, start, start_cost, _SEARCHES * number + search)
+            found = solver.solve(state.problem, still, start_cost, _SEARCHES * number + search)
             times.append((time.perf_counter() - began) / found.steps)
             decreases.append(start_cost - found.cost)
     return {"ready_s": ready_s, "step_ms": 1e3 * min(times), "decrease": float(np.mean(decreases))}

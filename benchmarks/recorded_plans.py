@@ -16,9 +16,8 @@ from contact_reach_ros.observer.budget import load_budget
 from contact_reach_ros.planning.plan import Plan, Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.solver.cma_es import Distribution
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
-from contact_reach_ros.planning.solver.solver import CostFunction, Solution
+from contact_reach_ros.planning.solver.solver import CostFunction, FloatArray, Solution
 from contact_reach_ros.planning.terms import Problem
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.scene import Scene
@@ -37,8 +36,8 @@ class RecordedPlan:
     ----------
     scene
         That it was made in.
-    problem, state, start_cost
-        What the solver was given: the problem, its distribution, and the cost at the distribution's mean.
+    problem, start, start_cost
+        What the solver was given: the problem, where the search begins, and the cost there.
     best
         (N,) the point that it found.
     """
@@ -47,7 +46,7 @@ class RecordedPlan:
     request: Request
     plan: Plan
     problem: Problem
-    state: Distribution
+    start: FloatArray
     start_cost: float
     best: np.ndarray
 
@@ -60,13 +59,13 @@ class RecordedPlan:
 class _RecordingSolver(HybridSolver):
     """Remembers its last call."""
 
-    last: tuple[Problem, Distribution, float, np.ndarray]
+    last: tuple[Problem, FloatArray, float, np.ndarray]
 
     def solve(
-        self, problem: Problem, state: Distribution, start_cost: float, number: int, until: float = math.inf
+        self, problem: Problem, start: FloatArray, start_cost: float, number: int, until: float = math.inf
     ) -> Solution:
-        solution = super().solve(problem, state, start_cost, number, until)
-        self.last = problem, state, start_cost, solution.best
+        solution = super().solve(problem, start, start_cost, number, until)
+        self.last = problem, start, start_cost, solution.best
         return solution
 
 
@@ -74,12 +73,12 @@ class _RecordingPlanner(RecedingHorizonPlanner):
     """The planner; it keeps what its solver was given for each plan that started from the one before."""
 
     def __init__(self, arm: Arm, settings: PlanningSettings, permitted_force: float, capacity: int) -> None:
-        def make(cost: CostFunction, n: int, settings: PlanningSettings) -> _RecordingSolver:
-            self._recording = _RecordingSolver(cost, n, settings)
+        def make(cost: CostFunction, spread: FloatArray, settings: PlanningSettings) -> _RecordingSolver:
+            self._recording = _RecordingSolver(cost, spread, settings)
             return self._recording
 
         super().__init__(arm, settings, ControllerSettings(), permitted_force, capacity, solver=make)
-        self.recorded: list[tuple[Request, Plan, Problem, Distribution, float, np.ndarray]] = []
+        self.recorded: list[tuple[Request, Plan, Problem, FloatArray, float, np.ndarray]] = []
 
     def plan(self, request: Request) -> Plan:
         """As the planner does, and keep it."""

@@ -31,9 +31,8 @@ from contact_reach_ros.planning.obstacles import ObstacleReader, check_motion, n
 from contact_reach_ros.planning.plan import Request
 from contact_reach_ros.planning.receding_horizon import RecedingHorizonPlanner
 from contact_reach_ros.planning.settings import PlanningSettings
-from contact_reach_ros.planning.solver.cma_es import Distribution
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
-from contact_reach_ros.planning.solver.solver import CostFunction, Solution
+from contact_reach_ros.planning.solver.solver import CostFunction, FloatArray, Solution
 from contact_reach_ros.planning.terms import Problem
 from contact_reach_ros.scenes.generate import make_scene
 from contact_reach_ros.world.goal import Target
@@ -68,18 +67,18 @@ class TimedSolver(HybridSolver):
     step_s = math.inf
     problem: Problem
 
-    def __init__(self, cost: CostFunction, size: int, settings: PlanningSettings) -> None:
-        super().__init__(cost, size, settings)
-        self.cost, self.size, self.population = cost, size, settings.population
+    def __init__(self, cost: CostFunction, spread: FloatArray, settings: PlanningSettings) -> None:
+        super().__init__(cost, spread, settings)
+        self.cost, self.size, self.population = cost, len(spread), settings.population
 
     def solve(
-        self, problem: Problem, state: Distribution, start_cost: float, number: int, until: float = math.inf
+        self, problem: Problem, start: FloatArray, start_cost: float, number: int, until: float = math.inf
     ) -> Solution:
         """Run Algorithm 1 several times, as `HybridSolver.solve`."""
         self.stagnation_steps, self.problem = self.max_steps + 1, problem
         for _ in range(_REPEATS):
             began = time.process_time()
-            solution = super().solve(problem, state, start_cost, number)
+            solution = super().solve(problem, start, start_cost, number)
             self.step_s = min(self.step_s, (time.process_time() - began) / solution.steps)
         return solution
 
@@ -169,8 +168,8 @@ def make_timed(
     scene = make_scene(read_scene(scene_name), arm, 0)
     found: list[TimedSolver] = []
 
-    def make(*arguments: Any) -> TimedSolver:
-        found.append(TimedSolver(*arguments))
+    def make(cost: CostFunction, spread: FloatArray, settings: PlanningSettings) -> TimedSolver:
+        found.append(TimedSolver(cost, spread, settings))
         return found[0]
 
     planner = RecedingHorizonPlanner(

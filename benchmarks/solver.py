@@ -26,7 +26,7 @@ from contact_reach_ros.errors import InputError
 from contact_reach_ros.planning.cost import SIGMA, ReferenceSpace
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
-from contact_reach_ros.planning.solver.solver import CostFunction
+from contact_reach_ros.planning.solver.solver import CostFunction, FloatArray
 from contact_reach_ros.planning.terms import Problem
 from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.world.scene_file import read_scene
@@ -45,9 +45,9 @@ LABELS = {"hybrid": "hybrid, Algorithm 1", "cma": "plain CMA-ES", "gradient": "t
 """Names of the solvers in tables and pictures."""
 
 
-def make_tireless(name: str, cost: CostFunction, size: int, settings: PlanningSettings) -> HybridSolver:
+def make_tireless(name: str, cost: CostFunction, spread: FloatArray, settings: PlanningSettings) -> HybridSolver:
     """The solver of this name, whose searches end at the greatest number of steps only."""
-    solver = SOLVERS[name](cost, size, dataclasses.replace(settings, deadline=0.0))
+    solver = SOLVERS[name](cost, spread, dataclasses.replace(settings, deadline=0.0))
     solver.stagnation_steps = 1_000_000
     return solver
 
@@ -60,12 +60,12 @@ def run_race(
     solvers: dict[str, HybridSolver] = {}
     times: dict[str, list[float]] = {}
     for name in LABELS:
-        solver = solvers[name] = make_tireless(name, cost, size, settings)
+        solver = solvers[name] = make_tireless(name, cost, spread, settings)
         solver.max_steps = _TIMED_STEPS
         for _ in range(2):
             # The first one compiles.
             began = time.perf_counter()
-            solver.solve(states[0].problem, solver.init(still, spread), math.inf, 0)
+            solver.solve(states[0].problem, still, math.inf, 0)
             step = (time.perf_counter() - began) / _TIMED_STEPS
         # Reserve, since steps take less time back to back.
         solver.max_steps = math.ceil(1.3 * seconds / step)
@@ -76,8 +76,8 @@ def run_race(
         still_cost = cost_of(state.problem, still)
         for name, solver in solvers.items():
             for start, begin, cost_then in (
-                ("cold", solver.init(still, spread), still_cost),
-                ("warm", state.state, state.start_cost),
+                ("cold", still, still_cost),
+                ("warm", state.start, state.start_cost),
             ):
                 began = time.perf_counter()
                 found = solver.solve(state.problem, begin, cost_then, number)

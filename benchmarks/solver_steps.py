@@ -78,13 +78,13 @@ def _decreases(preset_name: str, settings: PlanningSettings, states: Sequence[Re
     decreases: dict[str, list[float]] = {}
     seconds: dict[str, list[float]] = {}
     for name in SOLVERS:
-        solver = make_tireless(name, cost, size, limited)
-        solver.solve(problems[0], solver.init(still, spread), math.inf, 0)  # compiles
+        solver = make_tireless(name, cost, spread, limited)
+        solver.solve(problems[0], still, math.inf, 0)  # compiles
         decreases[name], seconds[name] = [], []
         for number, problem in enumerate(problems):
             start_cost = cost_of(problem, still)
             began = time.perf_counter()
-            found = solver.solve(problem, solver.init(still, spread), start_cost, number)
+            found = solver.solve(problem, still, start_cost, number)
             seconds[name].append(time.perf_counter() - began)
             decreases[name].append(start_cost - found.cost)
     hybrid = np.array(decreases["hybrid"])

@@ -29,7 +29,7 @@ from contact_reach_ros.world.scene import Scene
 from contact_reach_ros.world.spheres import Spheres, sphere_capacity
 
 if TYPE_CHECKING:
-    from contact_reach_ros.planning.solver.solver import CostFunction, Solver
+    from contact_reach_ros.planning.solver.solver import CostFunction, FloatArray, Solver
 
 _log = logging.getLogger(__name__)
 
@@ -468,7 +468,7 @@ def make_planner(
     controller: ControllerSettings | None = None,
     budget: ContactBudget | None = None,
     unexpected_contact: UnexpectedContactSettings | None = None,
-    solver: Callable[[CostFunction, int, PlanningSettings], Solver] | None = None,
+    solver: Callable[[CostFunction, FloatArray, PlanningSettings], Solver] | None = None,
     deadline: float = 0.0,
 ) -> Planner:
     """Assemble a planner that makes plans by the package's own method.

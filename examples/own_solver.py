@@ -1,10 +1,9 @@
 """Your own solver: plain MPPI (model predictive path integral) in place of Algorithm 1.
 
-A solver minimises a cost over the box [-1, 1]ⁿ; what it keeps from plan to plan is a NamedTuple of arrays.
+A solver minimises a cost over the box [-1, 1]ⁿ, from a start that the planner chooses.
 """
 
 import math
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,40 +12,29 @@ import contact_reach_ros as cr
 from contact_reach_ros.planning.solver.solver import Solution
 
 
-class Samples(NamedTuple):
-    mean: jax.Array
-    spread: jax.Array
-
-
 class Mppi:
     """Moves the mean to the average of random points, each weighted by exp(-cost / temperature)."""
 
-    def __init__(self, cost, n: int, settings: cr.PlanningSettings, temperature: float = 0.01) -> None:
-        def step(problem, state, key):
-            noise = state.spread[:, None] * jax.random.normal(key, (n, settings.population)).at[:, 0].set(0.0)
-            points = jnp.clip(state.mean[:, None] + noise, -1.0, 1.0)
+    def __init__(self, cost, spread, settings: cr.PlanningSettings, temperature: float = 0.01) -> None:
+        def step(problem, mean, key):
+            normal = jax.random.normal(key, (len(spread), settings.population)).at[:, 0].set(0.0)
+            points = jnp.clip(mean[:, None] + spread[:, None] * normal, -1.0, 1.0)
             costs = jnp.nan_to_num(cost(problem, points), nan=jnp.inf)
-            mean = points @ jax.nn.softmax(-costs / temperature)
-            return state._replace(mean=mean), points[:, costs.argmin()], costs.min()
+            return points @ jax.nn.softmax(-costs / temperature), points[:, costs.argmin()], costs.min()
 
         self._step, self._seed, self.max_steps = jax.jit(step), 0, settings.max_steps
 
     def reseed(self, seed: int) -> None:
         self._seed = seed
 
-    def init(self, mean, spread) -> Samples:
-        return Samples(jnp.asarray(mean, jnp.float32), jnp.asarray(spread, jnp.float32))
-
-    def shift(self, state: Samples, mean, spread, knots: int, elapsed: float) -> Samples:
-        return self.init(mean, spread)
-
-    def solve(self, problem, state: Samples, start_cost: float, number: int, until: float = math.inf) -> Solution:
-        key, costs, best = jax.random.fold_in(jax.random.key(self._seed), number), [start_cost], state.mean
+    def solve(self, problem, start, start_cost: float, number: int, until: float = math.inf) -> Solution:
+        mean = best = jnp.asarray(start, jnp.float32)
+        key, costs = jax.random.fold_in(jax.random.key(self._seed), number), [start_cost]
         for step in range(self.max_steps):
-            state, point, cost = self._step(problem, state, jax.random.fold_in(key, step))
+            mean, point, cost = self._step(problem, mean, jax.random.fold_in(key, step))
             best = point if cost < costs[-1] else best
             costs.append(min(costs[-1], float(cost)))
-        return Solution(jax.device_get(best), costs[-1], state, self.max_steps, "max_steps", tuple(costs))
+        return Solution(jax.device_get(best), costs[-1], self.max_steps, "max_steps", tuple(costs))
 
 
 scene = cr.load_scene("ball", arm=cr.load_arm("iiwa14"), seed=0)

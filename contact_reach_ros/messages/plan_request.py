@@ -111,7 +111,7 @@ def read_memory(parts: Parts, request: Request, knot_duration_s: float, ramp_s: 
     # Bags of 0.2 lack the rotation.
     approach = Approach(position, float(share[0]), rotation.reshape(3, 3) if rotation.size else None)
     plans = int(parts["plans since reset"][0])
-    return Memory(trajectories, last, parts["best"], None, approach, plans)
+    return Memory(trajectories, last, parts["best"], approach, plans)
 
 
 def _goal_numbers(goal: Target) -> Array:

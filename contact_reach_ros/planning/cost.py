@@ -163,8 +163,8 @@ def _spread(array: jax.Array, lanes: int) -> jax.Array:
     return jnp.broadcast_to(array, (*array.shape[:-1], lanes))
 
 
-SIGMA = 0.3
-"""Standard deviation of every variable of a fresh search as a share of its bound: few candidates lie outside."""
+SIGMA = 0.15
+"""Standard deviation of every variable when a search begins, as a share of its bound: few candidates lie outside."""
 PAPER_SIGMA = 0.01
 """Standard deviation of every variable, m or rad, in line 1 of Algorithm 1."""
 
@@ -201,7 +201,7 @@ class ReferenceSpace:
     bounds
         (N,) γ of the variables, knot after knot, m and rad.
     spread
-        (N,) standard deviations of a fresh search, as shares of the bounds.
+        (N,) standard deviations of the variables when a search begins, as shares of the bounds.
     vectors
         Number of vectors of variables in a plan, one after the other in time.
     """

@@ -148,10 +148,6 @@ class Request(NamedTuple):
         """Number of the detour that the plan follows; 0 for none."""
         return self.detour.number if self.detour is not None and self.detour.is_on else 0
 
-    def continues(self, last: Request) -> bool:
-        """Whether the plan minimises what the last one did."""
-        return self.goal.is_near(last.goal) and self.on_detour == last.on_detour
-
 
 class PlanningCore(Protocol):
     """Computes plans, each for a state that was measured some time before the plan takes effect.

@@ -25,7 +25,7 @@ from contact_reach_ros.planning.prediction import MAX_PIECES, Predictor, followe
 from contact_reach_ros.planning.runtime import configure_jax
 from contact_reach_ros.planning.settings import PlanningSettings, steady_speed
 from contact_reach_ros.planning.solver.hybrid import HybridSolver
-from contact_reach_ros.planning.solver.solver import CostFunction, Solution, Solver, State, shift_solution
+from contact_reach_ros.planning.solver.solver import CostFunction, FloatArray, Solution, Solver, shift_solution
 from contact_reach_ros.planning.terms import LEAST_SPEED, Approach, Problem, Rollout, term_weights
 from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.arithmetic import single
@@ -45,8 +45,6 @@ class Memory(NamedTuple):
     """What the last plan was made for, or one after it that would have brought the arm into a collision."""
     best: np.ndarray
     """(N,) the last plan as a point of the solver's box."""
-    state: State | None
-    """State of the solver at the end of its search; None to start a new search around `best`."""
     approach: Approach
     """Progress towards the goal."""
     plans: int
@@ -79,7 +77,7 @@ class RecedingHorizonPlanner:
     capacity
         Number of obstacle spheres that the compiled program takes; 0 compiles one without contact.
     solver
-        Makes the solver from a cost, the number of its variables and the settings.
+        Makes the solver from a cost, the spread of its variables and the settings.
 
     Attributes
     ----------
@@ -100,7 +98,7 @@ class RecedingHorizonPlanner:
         controller: ControllerSettings,
         permitted_force: float,
         capacity: int,
-        solver: Callable[[CostFunction, int, PlanningSettings], Solver] = HybridSolver,
+        solver: Callable[[CostFunction, FloatArray, PlanningSettings], Solver] = HybridSolver,
     ) -> None:
         configure_jax(cache_directory() / "jax")
         controller = controller.resolve(arm)
@@ -117,7 +115,7 @@ class RecedingHorizonPlanner:
         self._ramp_s = gains.reference_ramp
         self._space = self._make_space(arm, settings, gains)
         self._predictor = Predictor(self._space.objective.system, self._advance)
-        self._solver = solver(self._space.cost, len(self._space.bounds), settings)
+        self._solver = solver(self._space.cost, self._space.spread, settings)
         self._evaluate = jax.jit(Compiled(self._roll_out))
         self.memory: Memory | None = None
         self._number = 0
@@ -202,15 +200,15 @@ class RecedingHorizonPlanner:
         before = Reference(*(in_force or hold)) if self._ramp_s else None
         problem = self._problem(*self._predictor.predict(q, v, obstacles, pieces), request, bodies, before)
 
-        start, state, start_cost = self._start(problem, request)
+        start, start_cost = self._start(problem, request)
         memory = self.memory
         since_reset = 0 if memory is None else memory.plans
         held = in_force if isinstance(in_force, Reference) and request.holds and not request.on_detour else None
         if held is not None and self._permits(problem, start):
-            solution = Solution(start, start_cost, state, 0, "held", (start_cost,))
+            solution = Solution(start, start_cost, 0, "held", (start_cost,))
         else:
             held = None
-            solution = self._solver.solve(problem, state, start_cost, since_reset, until)
+            solution = self._solver.solve(problem, start, start_cost, since_reset, until)
         if not math.isfinite(solution.cost):
             raise InputError(
                 f"no motion from q = {q.tolist()}, v = {v.tolist()} has a finite cost: expected a state that the arm "
@@ -231,7 +229,7 @@ class RecedingHorizonPlanner:
         plan = self._plan_of(solution, rollout, terms, request, begin, before, held)
         earlier = () if memory is None else memory.trajectories[1 - _PLANS_KEPT :]
         approach, trajectories = self._approach_of(plan, request), (*earlier, plan)
-        self.memory = Memory(trajectories, request, solution.best, solution.state, approach, since_reset + 1)
+        self.memory = Memory(trajectories, request, solution.best, approach, since_reset + 1)
         return plan
 
     def _permits(self, problem: Problem, point: Array) -> bool:
@@ -322,30 +320,25 @@ class RecedingHorizonPlanner:
         )
         return jax.device_put(problem)
 
-    def _start(self, problem: Problem, request: Request) -> tuple[Array, State, float]:
-        """A point (N,) to start from, the solver's state there, and the point's cost.
+    def _start(self, problem: Problem, request: Request) -> tuple[Array, float]:
+        """A point (N,) to start from, and its cost.
 
         It is the rest of the last plan, or standing still if that costs less.
         """
         points = _pair(self._still(problem))
-        count, passed, carried = self._space.vectors, 0.0, None
         memory = self.memory
         if memory is not None:
             elapsed = (request.effect_ns - memory.trajectories[-1].effect_ns) / memory.trajectories[-1].knot_duration_ns
             if 0.0 <= elapsed < self._settings.horizon:
+                count = self._space.vectors
                 passed = elapsed * count / self._settings.horizon
                 points = _pair(shift_solution(memory.best, count, passed), points[:, 0])
-                # A state that has converged to another goal would search in the wrong directions.
-                carried = memory.state if request.continues(memory.request) else None
         costs = self._costs(problem, points)
         if request.on_detour and request.detour is not None:
             ahead = _pair(self._space.towards(request.q, request.detour.posture))
             points, costs = np.hstack([points, ahead]), np.append(costs, self._costs(problem, ahead))
         index = int(np.argmin(costs))
-        best = points[:, index]
-        if carried is None:
-            return best, self._solver.init(best, self._space.spread), float(costs[index])
-        return best, self._solver.shift(carried, best, self._space.spread, count, passed), float(costs[index])
+        return points[:, index], float(costs[index])
 
     def _costs(self, problem: Problem, points: np.ndarray) -> np.ndarray:
         """Costs (2,) of two points (N, 2)."""

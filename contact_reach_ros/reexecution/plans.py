@@ -68,15 +68,11 @@ class _RecordedSolution:
     def reseed(self, seed: int) -> None:
         """There is no chance."""
 
-    def init(self, mean: FloatArray, spread: FloatArray) -> None:
-        """Nothing is learned."""
-
-    def shift(self, state: None, mean: FloatArray, spread: FloatArray, knots: int, elapsed: float) -> None:
-        """Nothing was learned."""
-
-    def solve(self, problem: Problem, state: None, start_cost: float, number: int, until: float = 0.0) -> Solution:
+    def solve(
+        self, problem: Problem, start: FloatArray, start_cost: float, number: int, until: float = 0.0
+    ) -> Solution:
         """The recorded solution."""
-        return Solution(self._best, 0.0, state, 1, "max_steps", (0.0,))
+        return Solution(self._best, 0.0, 1, "max_steps", (0.0,))
 
 
 def solve_again(inputs: RecordedInputs, number: int) -> ReexecutedPlan:

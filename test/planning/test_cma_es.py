@@ -1,4 +1,4 @@
-"""The distribution of CMA-ES, against the `cma` package and from one plan to the next."""
+"""The distribution of CMA-ES, against the `cma` package, and sequences read later."""
 
 import dataclasses
 
@@ -14,7 +14,6 @@ from contact_reach_ros.planning.solver.cma_es import (
     Rates,
     fresh,
     sample,
-    shift_distribution,
     update,
 )
 from contact_reach_ros.planning.solver.solver import shift_solution
@@ -98,22 +97,3 @@ def test_shift_reads_the_sequence_later(elapsed):
     shifted = shift_solution(knots.reshape(-1), H, elapsed).reshape(H, SIZE)
     np.testing.assert_allclose(shifted[:, 0], np.minimum(1.0 + np.arange(H) + elapsed, 3.0))
     np.testing.assert_allclose(shifted[:, 1], 10.0 * shifted[:, 0])
-
-
-def test_whole_knots_move_blocks_and_start_the_last_one_afresh():
-    random, spread = np.random.default_rng(0), np.tile([0.3, 0.6], H)
-    root, path = random.normal(size=(H * SIZE, H * SIZE)), random.normal(size=H * SIZE)
-    old = fresh(np.zeros(H * SIZE), spread)._replace(covariance=root @ root.T + np.eye(H * SIZE), covariance_path=path)
-    new = shift_distribution(old, old.mean, spread, H, 1.0)
-    np.testing.assert_allclose(new.covariance[:4, :4], old.covariance[2:, 2:], rtol=1e-5)
-    np.testing.assert_allclose(new.covariance[4:, 4:], np.diag(spread[:SIZE] ** 2), rtol=1e-5)
-    np.testing.assert_allclose(new.covariance_path, np.r_[path[2:], 0.0, 0.0], rtol=1e-5)
-
-
-def test_collapsed_and_exploded_step_sizes_are_brought_back():
-    # The more variables, the wider the search may stay: up to those of seven joints.
-    for per_knot, largest in ((SIZE, 1.0), (6, 18 / 13), (13, 3.0), (20, 3.0)):
-        mean = np.zeros(H * per_knot)
-        for sigma, expected in ((1e-3, 0.3), (0.8, 0.8), (9.0, largest)):
-            old = fresh(mean, mean + 0.3)._replace(sigma=np.float32(sigma))
-            assert shift_distribution(old, mean, mean + 0.3, H, 0.4).sigma == pytest.approx(expected)

@@ -31,11 +31,8 @@ class Found:
     def __init__(self, best):
         self.best = best
 
-    def init(self, mean, spread):
-        return None
-
     def solve(self, *_):
-        return Solution(self.best, 0.0, None, 1, "max_steps", (0.0,))
+        return Solution(self.best, 0.0, 1, "max_steps", (0.0,))
 
 
 def plan_again(planner: RecedingHorizonPlanner, parts: Parts, like: Request) -> Plan:

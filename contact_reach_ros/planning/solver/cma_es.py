@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -12,13 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import solve_triangular
 
-from contact_reach_ros.planning.solver.solver import FloatArray, shift_matrix
+from contact_reach_ros.planning.solver.solver import FloatArray
 from contact_reach_ros.planning.transfer.arithmetic import single
 
 SIGMA_RANGE = (1e-3, 10.0)
 """Range of the step size, whose initial value is 1."""
-
-_VARIABLES_PER_SIGMA = 13.0
 
 
 class Distribution(NamedTuple):
@@ -125,45 +122,3 @@ def update(
     growth = jnp.exp(jnp.clip((c_sigma / rates.d_sigma) * (length / rates.expected_length - 1), -1.0, 1.0))
     sigma = jnp.clip(distribution.sigma * growth, *SIGMA_RANGE)
     return Distribution(mean, sigma, covariance, sigma_path, covariance_path, generation)
-
-
-def carried_sigma_range(n: int) -> tuple[float, float]:
-    """Step sizes with which a shifted distribution of n variables may start: not collapsed, not exploded.
-
-    Where bounds are in the way of the best candidates σ grows, the more the fewer variables there are that hardly
-    matter, as most of Δq. With the 18 of the pose of six joints at 3, nearly all candidates would be in corners of the
-    box, and searches would end with nothing better than standing still. The 39 of seven joints may have 3.
-    """
-    return 0.3, min(max(n / _VARIABLES_PER_SIGMA, 1.0), 3.0)
-
-
-def shift_distribution(
-    distribution: Distribution, mean: FloatArray, spread: FloatArray, horizon: int, elapsed: float
-) -> Distribution:
-    """The distribution read `elapsed` knots later, about a new mean (n,).
-
-    A knot that is a mixture of two, or that lay beyond the old horizon, would have too small a variance: the initial
-    `spread` (n,) makes up for what the weights remove.
-    """
-    size = len(mean) // horizon
-    weights = shift_matrix(horizon, elapsed)
-    # Knots beyond the old horizon are new: nothing carries over to them.
-    weights[np.arange(horizon) + elapsed > horizon - 1 + 1e-9] = 0.0
-    kept = np.kron(weights, np.eye(size))
-    filled = np.repeat(1.0 - (weights**2).sum(axis=1), size) * spread**2
-    return _shifted(distribution, single(mean), single(kept), single(filled))
-
-
-@jax.jit
-def _shifted(distribution: Distribution, mean: jax.Array, kept: jax.Array, filled: jax.Array) -> Distribution:
-    """On the device, so that the distribution stays there between plans."""
-    exact = functools.partial(jnp.matmul, precision="highest")
-    covariance = exact(exact(kept, distribution.covariance), kept.T)
-    return Distribution(
-        mean=mean,
-        sigma=jnp.clip(distribution.sigma, *carried_sigma_range(len(mean))),
-        covariance=0.5 * (covariance + covariance.T) + jnp.diag(filled),
-        sigma_path=exact(kept, distribution.sigma_path),
-        covariance_path=exact(kept, distribution.covariance_path),
-        generation=distribution.generation,
-    )

@@ -13,8 +13,8 @@ import numpy as np
 
 from contact_reach_ros.planning.lanes.compiled import Compiled
 from contact_reach_ros.planning.settings import PAPER, PlanningSettings
-from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, fresh, sample, shift_distribution, update
-from contact_reach_ros.planning.solver.solver import CostFunction, Solution
+from contact_reach_ros.planning.solver.cma_es import Distribution, Rates, fresh, sample, update
+from contact_reach_ros.planning.solver.solver import CostFunction, FloatArray, Solution
 from contact_reach_ros.planning.transfer.arithmetic import single
 
 Draw = tuple[int | jax.Array, ...]
@@ -42,7 +42,7 @@ class Search(NamedTuple):
 
 
 class HybridSolver:
-    """Algorithm 1 over the box [-1, 1]ⁿ; its state is the distribution of the candidates.
+    """Algorithm 1 over the box [-1, 1]ⁿ. Each search begins with a fresh distribution about its start.
 
     Readings of Algorithm 1: line 9 takes a logarithm of the cost, which may be negative; α d_i, the logarithm's effect,
     is used directly as |L(a_i)|. By default it is replaced by the squared distance to the box, scaled by how much the
@@ -54,8 +54,8 @@ class HybridSolver:
     ----------
     cost
         Cost to minimise.
-    n
-        Number of variables.
+    spread
+        (n,) standard deviations of the variables when a search begins.
     settings
         Settings of the planner.
 
@@ -67,17 +67,15 @@ class HybridSolver:
         Stagnant steps in a row that end it.
     """
 
-    init = staticmethod(fresh)
-    shift = staticmethod(shift_distribution)
-
-    def __init__(self, cost: CostFunction, n: int, settings: PlanningSettings) -> None:
+    def __init__(self, cost: CostFunction, spread: FloatArray, settings: PlanningSettings) -> None:
         self._cost = Compiled(cost)
         self._slopes = Compiled(functools.partial(slopes, cost), self._cost)
         self._settings = settings
+        self._spread = spread
         self._seed = 0
         self.max_steps = settings.max_steps
         self.stagnation_steps = STAGNATION_STEPS
-        self._rates = Rates.of(n, settings.elite)
+        self._rates = Rates.of(len(spread), settings.elite)
         self._step = jax.jit(self._advance)
 
     def reseed(self, seed: int) -> None:
@@ -85,10 +83,11 @@ class HybridSolver:
         self._seed = seed
 
     def solve(
-        self, problem: Any, state: Distribution, start_cost: float, number: int, until: float = math.inf
+        self, problem: Any, start: FloatArray, start_cost: float, number: int, until: float = math.inf
     ) -> Solution:
         """Run Algorithm 1, as `Solver.solve`."""
-        search = Search(state, state.mean, single(start_cost))
+        distribution = fresh(start, self._spread)
+        search = Search(distribution, distribution.mean, single(start_cost))
         costs = [start_cost]
         stagnant, longest_step, reason = 0, 0.0, "max_steps"
         now = time.perf_counter()
@@ -108,7 +107,6 @@ class HybridSolver:
         return Solution(
             best=np.asarray(search.best),
             cost=costs[-1],
-            state=search.distribution,
             steps=len(costs) - 1,
             stop_reason=reason,
             costs=tuple(costs),
