@@ -245,9 +245,13 @@ def run_episode(scene: Scene, method: Method, options: EpisodeOptions) -> Episod
         ticks = round(options.patience / TICK)
         return 0 < ticks <= len(joints) and not len(joints) % 500 and float(np.ptp(joints[-ticks:], 0).max()) < STILL
 
+    def is_given_up() -> bool:
+        # A plan that is refused may be followed by a better one, for as long as the goal is pursued.
+        return bool(stack.failure) and not stack.planner.has_goal
+
     def after_tick() -> None:
         nonlocal duration, settled, has_ended, end_tick
-        if has_goal and not stack.failure:
+        if has_goal and not is_given_up():
             positions.append(plant.tip_position)
             joints.append(plant.data.qpos[: scene.arm.n].copy())
             forces.append(plant.contact_forces())
@@ -262,7 +266,7 @@ def run_episode(scene: Scene, method: Method, options: EpisodeOptions) -> Episod
             has_ended, end_tick = True, plant.steps + linger_ticks
 
     stack.simulated.after_tick = after_tick
-    while plant.steps < end_tick and not stack.failure:
+    while plant.steps < end_tick and not is_given_up():
         if plant.steps >= settle_ticks and not has_goal:
             has_goal = True
             stack.simulated.start_faults()

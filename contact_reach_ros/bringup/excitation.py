@@ -21,7 +21,7 @@ from contact_reach_ros.messages.topics import Qos
 from contact_reach_ros.ros.client import StackClient
 from contact_reach_ros.ros.inbox import LARGEST_SCENE
 from contact_reach_ros.ros.interfaces import ADAPTER, OBSERVER, PLANNER
-from contact_reach_ros.world.collision import COLLISION_TOLERANCE, clearances, nearest
+from contact_reach_ros.world.collision import clearances, nearest
 from contact_reach_ros.world.goal import POSE, Target
 from contact_reach_ros.world.spheres import Spheres
 
@@ -46,6 +46,9 @@ _GOALS = (
     ((0.00, 0.00, 0.00), (0.0, 0.0, 0.0)),
 )
 """Offsets from the home pose: m in the base frame, and rotations in that of the tip, rad."""
+_TOLERANCE = 0.002
+"""How deep the arm's capsules may lie in each other, m: they are rounder than links."""
+
 _STEPS = 20
 """Postures on the way between two goals at which the clearance is checked."""
 
@@ -139,6 +142,6 @@ def check_clearance(arm: Arm, q: Array, obstacles: Spheres) -> None:
                 f"{CLEARANCE:g} m: clear the space, or give a bag of another motion (--bag)"
             )
         worst = min(nearest(arm, between, obstacles.environment), default=None)
-        if worst is not None and worst.distance < -COLLISION_TOLERANCE:
+        if worst is not None and worst.distance < -_TOLERANCE:
             raise InputError(f"on the way to goal {number} {worst}; give a bag of another motion (--bag)")
         before = postures[0]

@@ -81,9 +81,6 @@ waits meanwhile."""
 _SLACK = 0.5
 """By how much a way may press harder than the arm does where it begins, N."""
 
-_MESH = 2.0
-"""By what factor `Statics` may take the force where the way begins for too large: nodes of a mesh share theirs."""
-
 _SPACING, _AHEAD = 0.25, 0.5
 """Between postures on a way, and how far from one the next takes its place, rad."""
 
@@ -284,8 +281,8 @@ class Detours:
             if not len(goals):
                 continue
             goals = np.concatenate([goals[:_CANDIDATES], random.permutation(goals[_CANDIDATES:])[:_CANDIDATES]])
-            # An arm that presses harder may go on from where it is.
-            limit = max(most, min(start + _SLACK, _MESH * self.permitted_force))
+            # An arm that presses harder may go on from where it is: nodes of a mesh share what counts for each here.
+            limit = max(most, start + _SLACK)
             left = _ITERATIONS // len(shares)
             paths: list[Array] = []
             while left and len(paths) < _PATHS:

@@ -12,7 +12,6 @@ from contact_reach_ros.planning.transfer.arithmetic import single
 from contact_reach_ros.planning.transfer.clearance import Bodies
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.world.collision import (
-    COLLISION_TOLERANCE,
     capsule_segments,
     clearances,
     nearest,
@@ -148,8 +147,11 @@ PLANES, BLOCKS = 2, 2
 """How many bodies of each kind the cost of a plan takes into account: the nearest ones."""
 _AWAY = 100.0
 """How far away the bodies are that fill up these numbers, m: out of reach, near enough for single precision."""
-_DEEPER = 1e-3
-"""By how much a motion may go deeper than it begins, m."""
+LEAST_CLEARANCE = 0.002
+"""Distance from rigid bodies, and of the arm's own capsules, below which a motion is refused, m: more than the error of
+its prediction."""
+_NEARER = 2e-4
+"""By how much a motion that begins nearer may go nearer still, m."""
 
 
 def nearest_bodies(arm: Arm, q: Array, environment: Environment) -> Bodies:
@@ -169,24 +171,23 @@ def nearest_bodies(arm: Arm, q: Array, environment: Environment) -> Bodies:
 
 
 def check_motion(arm: Arm, q: Array, environment: Environment) -> None:
-    """Refuse a motion through postures `q` (N, n), rad, that brings the arm into a rigid body or into itself.
+    """Refuse a motion through postures `q` (N, n), rad, that brings the arm to a rigid body or to itself.
 
-    Where it begins deeper, it has to lead out.
+    Where it begins nearer, it has to lead away.
 
     Raises
     ------
     PlanningError
-        If a posture after the first is more than `COLLISION_TOLERANCE` deep, and deeper than the first; it has the
-        numbers.
+        If a posture after the first is nearer than `LEAST_CLEARANCE`, and nearer than the first; it has the numbers.
     """
     pairs = nearest(arm, q, environment)
     if not pairs:
         return
     first, *later = pairs
-    deepest = min(later, key=lambda pair: pair.distance)
-    if -deepest.distance > max(COLLISION_TOLERANCE, -first.distance + _DEEPER):
+    closest = min(later, key=lambda pair: pair.distance)
+    if closest.distance < min(LEAST_CLEARANCE, first.distance - _NEARER):
         raise PlanningError(
-            f"the plan would bring the arm into a collision: {deepest}, permitted are {1000 * COLLISION_TOLERANCE:g} "
-            "mm; it is refused and the plan in force runs out into a hold: choose another goal or posture, or "
-            "move the body"
+            f"the plan would bring the arm into a collision: {closest}, expected {1000 * LEAST_CLEARANCE:g} mm or more "
+            "between them; it is refused and the plan in force runs out into a hold: choose another goal or posture, "
+            "or move the body"
         )

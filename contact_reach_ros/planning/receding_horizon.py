@@ -51,6 +51,9 @@ class Memory(NamedTuple):
     """Number of plans since the planner was reset, which selects the random numbers together with the seed."""
 
 
+FORCE_SHARE = 0.95
+"""Share of ε up to which plans press: friction and damping of contacts, which the model leaves out, add to it."""
+
 _JUMP_SLACK = 0.05
 """Slack in the detection of jumps, rad: a joint farther from its last angle than its speed limit allows has jumped."""
 
@@ -107,7 +110,7 @@ class RecedingHorizonPlanner:
         self._arm = arm
         self._settings = settings
         self._obstacles = ObstacleReader(arm, capacity)
-        self._permitted_force = permitted_force
+        self._permitted_force = FORCE_SHARE * permitted_force
         self._detours = Detours(arm, settings, permitted_force)
         self._speed = steady_speed(settings, gains)
         self._max_position_error = controller.supervision.max_position_error

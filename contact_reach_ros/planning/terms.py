@@ -88,8 +88,8 @@ class Rollout(NamedTuple):
 JOINT_LIMIT_MARGIN = 0.025
 """Distance from a joint's limit at which its cost starts, rad: plans lean against the controller's push before."""
 
-CLEARANCE_MARGIN = 0.02
-"""Distance from rigid bodies, and between the arm's own capsules, at which their cost starts, m: two steps of γ."""
+CLEARANCE_MARGIN = 0.01
+"""Distance from rigid bodies, and between the arm's own capsules, at which their cost starts, m: a step of γ."""
 
 ROUNDING = 0.03
 """Rotation error below which its cost is rounded off, rad.
@@ -315,11 +315,11 @@ def lead_change(context: Context) -> jax.Array:
     return sum_over(change * change, 0)
 
 
-@term(100.0)
+@term(1000.0)
 def clearance(context: Context) -> jax.Array:
     """Squared intrusion into the margin around rigid bodies and the arm's own links at the ends of the knots, m².
 
-    Half of the margin costs as much as 10 mm to the goal.
+    Half of the margin costs as much as 25 mm to the goal.
     """
     capsules = jax.tree.map(lambda boundaries: boundaries[1:], context.rollout.capsules)
     return intrusion(context.arm, capsules, context.problem.bodies, CLEARANCE_MARGIN)

@@ -25,9 +25,6 @@ from contact_reach_ros.world.spheres import Spheres
 
 GOAL_CLEARANCE = 0.005
 """Least distance of the hand from rigid bodies at a goal, m: nearer, the planner's margin would keep it away."""
-COLLISION_TOLERANCE = 0.002
-"""Predicted depth in a rigid body, or of the arm in itself, up to which a motion is accepted, m: capsules are rounder
-than links."""
 _SAMPLES, _ROUNDS = 17, 3
 _SEEDS = 64
 """Random postures from which a posture for a goal is sought: that found all of 2000 poses of random postures, and of an

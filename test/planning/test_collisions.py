@@ -98,7 +98,7 @@ def test_a_motion_into_a_body_is_refused_with_numbers_and_one_out_of_it_is_not()
     up = np.linspace(HOME, HOME + np.array([0.0, -0.1, 0.0, 0.0, 0.0, 0.0, 0.0]), 4)
     assert nearest(ARM, up[:1], floor)[0].distance < -0.01
     check_motion(ARM, up, floor)
-    with pytest.raises(PlanningError, match=r"lbr_link_7 lies 1\d\.\d mm deep in the floor, permitted are 2 mm"):
+    with pytest.raises(PlanningError, match=r"lbr_link_7 lies 1\d\.\d mm deep in the floor, expected 2 mm or more"):
         check_motion(ARM, up[::-1], floor)
     check_motion(ARM, up[::-1], (Plane("floor", (0.0, 0.0, 0.2)),))
 
@@ -126,16 +126,14 @@ def test_the_arm_touches_neither_a_table_in_its_way_nor_itself(planner, environm
     assert 0.005 < min(pair.distance for pair in nearest(ARM, np.array(postures), environment)) < largest
 
 
-def test_a_plan_that_leads_into_a_body_is_refused(planner, monkeypatch):
-    """Of the shared planner, made to ignore bodies; its compiled programs are the same.
-
-    With two of six seeds the plan before the refused one ends on the table, as it may.
-    """
-    planner.reseed(3)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_plan_that_leads_into_a_body_is_refused_before_the_arm_touches_it(planner, monkeypatch, seed):
+    """Of the shared planner, made to ignore bodies; its compiled programs are the same."""
+    planner.reseed(seed)
     monkeypatch.setitem(TERMS, "clearance", TERMS["clearance"]._replace(weight=1e-6))
     goal = Goal(BESIDE)
     # Until a detour is due.
     result = stack_for(planner, (TABLE,), goal).run(goal, 1.1)
     assert not result.reached and result.max_contact_force == 0.0
-    assert "the plan would bring the arm into a collision: lbr_link_7 lies" in result.stop_reason
-    assert "deep in the table, permitted are 2 mm" in result.stop_reason
+    assert "the plan would bring the arm into a collision: lbr_link_7 " in result.stop_reason
+    assert "the table, expected 2 mm or more between them" in result.stop_reason

@@ -122,14 +122,15 @@ def test_an_arm_on_a_detour_that_moves_on_as_fast_as_counts_is_not_sent_elsewher
     assert request.detour.number == first
 
 
-def test_an_arm_finds_a_path_away_from_where_it_presses_harder_than_permitted():
+@pytest.mark.parametrize(("stiffness", "least"), [(85.0, 1.0), (300.0, 3.0)])
+def test_an_arm_finds_a_path_away_from_where_it_presses_harder_than_permitted(stiffness, least):
     """As among the nodes of a mesh, each of which is counted as if it were alone."""
-    soft = dataclasses.replace(ball_at(link_frames(ARM, HOME)[1][4], 85.0), radius=np.array([0.1]))
-    pressing = float(Statics(ARM, soft, HOME, GOAL).forces(HOME[None])[0])
-    assert PERMITTED_FORCE < pressing < 2.0 * PERMITTED_FORCE
-    leaving = followed(begin(spheres=soft), HOME, 1.2, spheres=soft)
+    pressed = dataclasses.replace(ball_at(link_frames(ARM, HOME)[1][4], stiffness), radius=np.array([0.1]))
+    pressing = float(Statics(ARM, pressed, HOME, GOAL).forces(HOME[None])[0])
+    assert pressing > least * PERMITTED_FORCE
+    leaving = followed(begin(spheres=pressed), HOME, 1.2, spheres=pressed)
     assert leaving.on_detour == 1
-    forces = Statics(ARM, soft, HOME, GOAL).forces(leaving.detour.path)
+    forces = Statics(ARM, pressed, HOME, GOAL).forces(leaving.detour.path)
     above = forces > PERMITTED_FORCE
     assert forces.max() <= pressing + 0.6
     assert not above[int(above.argmin()) :].any()
@@ -143,8 +144,6 @@ def test_no_detour_leads_into_more_force_than_permitted():
         with pytest.raises(UnreachableError, match=r"contact budget: each of \d{3,} postures at the goal .* N"):
             refused()
     followed(begin(), HOME, 0.96, spheres=firm)
-    refused = followed(begin(), HOME, 1.2, spheres=ball_at(link_frames(ARM, HOME)[1][4], 5000.0))
-    assert not refused.on_detour and refused.detour.number == 1
 
 
 def test_a_path_leads_around_what_is_in_the_straight_ways():

@@ -101,7 +101,7 @@ def test_contact_becomes_cheap_for_an_arm_that_is_at_its_goal_askew(planner):
 def test_the_weight_of_contact_falls_for_one_goal_only(planner, monkeypatch):
     """One and the same contact, while the arm is told to be where it was, again and again."""
     monkeypatch.setattr(planner, "_settings", dataclasses.replace(SMALL, contact_patience=0.1))
-    spheres = ball_at(FLANGE + 0.13 * DOWN)
+    spheres = ball_at(FLANGE + 0.14 * DOWN)
 
     def weight(time: int, goal: Target) -> float:
         plan = planner.plan(Request(HOME, REST, time * MS, time * MS, goal, spheres))
