@@ -40,8 +40,8 @@ Record = dict[str, Any]
 PATH_PATIENCE = 4
 """Factor on the time limit of methods that follow a path: it may be long, but it ends at the goal."""
 
-PATIENCE = 5.0
-"""s: an arm whose joints have stayed where they are for so long is lost, and its episode over."""
+PATIENCE = 10.0
+"""s: an arm whose joints have stayed where they are for so long, longer than before any detour, is lost."""
 
 METRICS = tuple(field.name for field in dataclasses.fields(EpisodeMetrics))
 

@@ -57,6 +57,9 @@ FORCE_SHARE = 0.95
 _JUMP_SLACK = 0.05
 """Slack in the detection of jumps, rad: a joint farther from its last angle than its speed limit allows has jumped."""
 
+_WORTH = 1e-3
+"""What a motion has to gain over standing still, m of the way: at its goal an arm would go on moving its elbow."""
+
 _WARM_UP_PLANS = 5
 """Two that compile, and three of which the quickest tells how long a step takes."""
 
@@ -206,12 +209,7 @@ class RecedingHorizonPlanner:
         start, start_cost = self._start(problem, request)
         memory = self.memory
         since_reset = 0 if memory is None else memory.plans
-        held = in_force if isinstance(in_force, Reference) and request.holds and not request.on_detour else None
-        if held is not None and self._permits(problem, start):
-            solution = Solution(start, start_cost, 0, "held", (start_cost,))
-        else:
-            held = None
-            solution = self._solver.solve(problem, start, start_cost, since_reset, until)
+        solution = self._solver.solve(problem, start, start_cost, since_reset, until)
         if not math.isfinite(solution.cost):
             raise InputError(
                 f"no motion from q = {q.tolist()}, v = {v.tolist()} has a finite cost: expected a state that the arm "
@@ -229,16 +227,11 @@ class RecedingHorizonPlanner:
         finally:
             self._last_check_s = time.perf_counter() - solved
         self._number += 1
-        plan = self._plan_of(solution, rollout, terms, request, begin, before, held)
+        plan = self._plan_of(solution, rollout, terms, request, begin, before)
         earlier = () if memory is None else memory.trajectories[1 - _PLANS_KEPT :]
         approach, trajectories = self._approach_of(plan, request), (*earlier, plan)
         self.memory = Memory(trajectories, request, solution.best, approach, since_reset + 1)
         return plan
-
-    def _permits(self, problem: Problem, point: Array) -> bool:
-        """Whether the motion of a point (N,) presses no harder than is permitted: from where it begins, as now."""
-        rollout, _ = self._evaluate(problem, _pair(point))
-        return not bool((np.asarray(rollout.link_force) > self._permitted_force).any())
 
     def _hold(self, q: Array) -> Held:
         """What is in force without a plan, at joint angles `q` (n,), rad."""
@@ -299,8 +292,8 @@ class RecedingHorizonPlanner:
         before: Reference | None,
     ) -> Problem:
         goal, detour, memory, weights = request.goal, request.detour, self.memory, term_weights(self._settings)
-        rotation = np.eye(3) if request.rotation is None else request.rotation
-        if request.rotation is None:
+        rotation = np.eye(3) if goal.rotation is None else goal.rotation
+        if goal.rotation is None:
             weights["orientation"] = 0.0
         if memory is not None and goal.is_near(memory.request.goal):
             weights |= memory.approach.weights(self._settings)
@@ -326,8 +319,9 @@ class RecedingHorizonPlanner:
     def _start(self, problem: Problem, request: Request) -> tuple[Array, float]:
         """A point (N,) to start from, and its cost.
 
-        It is the rest of the last plan, or standing still if that costs less.
+        It is the rest of the last plan, or standing still unless that costs `_WORTH` more.
         """
+        # The second one is standing still.
         points = _pair(self._still(problem))
         memory = self.memory
         if memory is not None:
@@ -340,7 +334,7 @@ class RecedingHorizonPlanner:
         if request.on_detour and request.detour is not None:
             ahead = _pair(self._space.towards(request.q, request.detour.posture))
             points, costs = np.hstack([points, ahead]), np.append(costs, self._costs(problem, ahead))
-        index = int(np.argmin(costs))
+        index = int(np.argmin(costs - _WORTH * (np.arange(len(costs)) == 1)))
         return points[:, index], float(costs[index])
 
     def _costs(self, problem: Problem, points: np.ndarray) -> np.ndarray:
@@ -357,12 +351,9 @@ class RecedingHorizonPlanner:
         request: Request,
         begin: float,
         before: Reference | None,
-        held: Reference | None,
     ) -> Plan:
         first = jax.tree.map(lambda array: np.asarray(array)[..., 0].astype(float), rollout)
         knots = first.reference
-        if held is not None:
-            knots = Reference(*(np.repeat(part[None], len(knots.position), axis=0) for part in held))
         if self._detours.may_search(request):
             # Without a plan the controller gives way to contact, and stops where that does not end it.
             count = int(MAX_PLAN_DURATION / self._settings.knot_duration)

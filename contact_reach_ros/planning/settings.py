@@ -167,8 +167,7 @@ class PlannerNodeSettings(ReplanningSettings):
 
     goal_orientation: str = setting(
         HOLD,
-        "orientation of the goal: held as it is when the goal arrives, that of the pose, or free, and held once the "
-        "tip is there",
+        "orientation of the goal: held as it is when the goal arrives, that of the pose, or free",
         choices=ORIENTATIONS,
     )
     max_spheres: int = setting(

@@ -127,7 +127,7 @@ class HybridSolver:
         mean = distribution.mean + distribution.sigma * (elite @ valid) / jnp.maximum(valid.sum(), 1.0)
         # Lines 14 to 18.
         mean, cost = cheapest(*self._search_line(problem, jnp.clip(mean, -1.0, 1.0), (*draw, 0)))
-        better = cost < search.best_cost
+        better = cost < search.best_cost - STAGNATION_TOLERANCE
         return Search(
             distribution=update(self._rates, distribution, elite, valid, mean),
             best=jnp.where(better, mean, search.best),
