@@ -50,6 +50,10 @@ def request_parts(number: int, request: Request, memory: Memory | None, found: A
         "speed scale": np.array([request.speed_scale]),
         "found": found,
     }
+    if request.holds:
+        parts["holds"] = np.ones(1)
+    if request.rest is not None:
+        parts["rest"] = request.rest
     if memory is not None:
         parts["plans since reset"] = np.array([memory.plans])
         parts["last goal"] = _goal_numbers(memory.request.goal)
@@ -70,7 +74,10 @@ def request_parts(number: int, request: Request, memory: Memory | None, found: A
 def read_request(parts: Parts, state_ns: int, effect_ns: int) -> Request:
     """The request for a state and an effect at these times, ns, without obstacles."""
     goal, scale = _goal(parts["goal"]), float(parts["speed scale"][0])
-    return Request(parts["q"], parts["v"], state_ns, effect_ns, goal, Spheres.none(), scale)
+    rest = parts["rest"].reshape(3, 3) if "rest" in parts else None
+    return Request(
+        parts["q"], parts["v"], state_ns, effect_ns, goal, Spheres.none(), scale, holds="holds" in parts, rest=rest
+    )
 
 
 def read_memory(parts: Parts, request: Request, knot_duration_s: float, ramp_s: float) -> Memory | None:

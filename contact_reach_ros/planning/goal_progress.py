@@ -16,6 +16,11 @@ SETTLE_NS = NANOSECONDS // 5
 """Time at rest within the goal's tolerances after which it has settled, ns: an overshoot would have left them."""
 
 
+HOLD_NS = NANOSECONDS // 2
+"""Time within a goal's tolerance after which a tip at rest holds its reference, ns: arms that come to rest on their own
+come closer."""
+
+
 class GoalPhase(Enum):
     """Phases of a goal. The values are an interface: `goal/state` carries them."""
 
@@ -63,13 +68,24 @@ class GoalProgress:
     ----------
     state
         What happened so far.
+    rest
+        (3, 3) orientation with which the tip came within the tolerance of a goal that does not move; None while it is
+        not there. Where the goal leaves the orientation free this one is held: a tip that turns on at random does not
+        come to rest.
+    holds
+        Whether the tip is at rest within the tolerances after `HOLD_NS` there: to plan on, a little better each time,
+        would move it for good.
     """
 
     def __init__(self, task: Task) -> None:
         """Follow an accepted task, which decides where the tip has to be, and how quietly."""
         self.state = GoalState(GoalPhase.ACCEPTED)
+        self.rest: Array | None = None
+        self.holds = False
         self._task = task
         self._begun_ns: int | None = None
+        self._reached_ns: int | None = None
+        """Since when the tip has been within the tolerance."""
         self._there_ns: int | None = None
         """Since when the tip has been there, at rest."""
         self._goes_on = False
@@ -79,7 +95,12 @@ class GoalProgress:
         """Take the tip's pose, in the base frame, and its speed, m/s, at a time, ns."""
         phase, elapsed = self.state.phase, self.state.elapsed
         is_there = self._task.reached(position, target)
+        if target.moves or not is_there:
+            self.rest = self._reached_ns = None
+        elif self._reached_ns is None or stamp_ns < self._reached_ns:
+            self.rest, self._reached_ns = rotation.copy(), stamp_ns
         at_rest = not target.moves and self._task.settled(position, rotation, speed, target)
+        self.holds = at_rest and self._reached_ns is not None and stamp_ns - self._reached_ns >= HOLD_NS
         if self._begun_ns is None or stamp_ns < self._begun_ns:
             self._begun_ns = stamp_ns
             self._there_ns = None

@@ -98,7 +98,7 @@ class Plan(ReferenceTrajectory):
     steps: int
     """Solver steps taken."""
     stop_reason: str
-    """"stagnated", "max_steps" or "deadline"."""
+    """"stagnated", "max_steps", "deadline", or "held" for what was in force before."""
     solve_s: float
     """Wall-clock time of the whole call, s."""
     speed_scale: float = 1.0
@@ -133,6 +133,15 @@ class Request(NamedTuple):
     """Share of γ that the plan may use, 0 to 1, and so of the speed."""
     detour: Detour | None = None
     """Progress towards the goal and the detour that leads there, see `Detours.target`."""
+    holds: bool = False
+    """Whether to hold what is in force, see `GoalProgress.holds`."""
+    rest: Array | None = None
+    """(3, 3) orientation to hold where the goal leaves it free, see `GoalProgress.rest`."""
+
+    @property
+    def rotation(self) -> Array | None:
+        """(3, 3) orientation to plan for; None for any."""
+        return self.rest if self.goal.rotation is None else self.goal.rotation
 
     @property
     def on_detour(self) -> int:

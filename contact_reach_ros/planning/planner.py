@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from contact_reach_ros.arm import Arm, JointState
+from contact_reach_ros.arm.kinematics import POSITION
 from contact_reach_ros.arm.model import RobotModel
 from contact_reach_ros.errors import InputError, PlanningError, UnreachableError
 from contact_reach_ros.observer.budget import ContactBudget
@@ -319,7 +320,9 @@ class Planner:
             return None
         effect_ns = stamp_ns + max(self.settings.latency_ns, min(max(self._took_ns), _MAX_LATENCY_NS))
         goal = self._stream.at(effect_ns, stamp_ns)
-        return Request(q, v, stamp_ns, effect_ns, goal, self.obstacles.spheres, self.speed_scale)
+        rest = progress.rest if goal.rotation is None and self._task != POSITION else None
+        spheres, scale = self.obstacles.spheres, self.speed_scale
+        return Request(q, v, stamp_ns, effect_ns, goal, spheres, scale, holds=progress.holds, rest=rest)
 
     def solve(self, request: Request) -> Plan:
         """Make the plan that was requested.

@@ -209,7 +209,12 @@ class RecedingHorizonPlanner:
         start, start_cost = self._start(problem, request)
         memory = self.memory
         since_reset = 0 if memory is None else memory.plans
-        solution = self._solver.solve(problem, start, start_cost, since_reset, until)
+        held = in_force if isinstance(in_force, Reference) and request.holds and not request.on_detour else None
+        if held is not None and self._permits(problem, start):
+            solution = Solution(start, start_cost, 0, "held", (start_cost,))
+        else:
+            held = None
+            solution = self._solver.solve(problem, start, start_cost, since_reset, until)
         if not math.isfinite(solution.cost):
             raise InputError(
                 f"no motion from q = {q.tolist()}, v = {v.tolist()} has a finite cost: expected a state that the arm "
@@ -227,11 +232,16 @@ class RecedingHorizonPlanner:
         finally:
             self._last_check_s = time.perf_counter() - solved
         self._number += 1
-        plan = self._plan_of(solution, rollout, terms, request, begin, before)
+        plan = self._plan_of(solution, rollout, terms, request, begin, before, held)
         earlier = () if memory is None else memory.trajectories[1 - _PLANS_KEPT :]
         approach, trajectories = self._approach_of(plan, request), (*earlier, plan)
         self.memory = Memory(trajectories, request, solution.best, approach, since_reset + 1)
         return plan
+
+    def _permits(self, problem: Problem, point: Array) -> bool:
+        """Whether the motion of a point (N,) presses no harder than is permitted: from where it begins, as now."""
+        rollout, _ = self._evaluate(problem, _pair(point))
+        return not bool((np.asarray(rollout.link_force) > self._permitted_force).any())
 
     def _hold(self, q: Array) -> Held:
         """What is in force without a plan, at joint angles `q` (n,), rad."""
@@ -292,8 +302,8 @@ class RecedingHorizonPlanner:
         before: Reference | None,
     ) -> Problem:
         goal, detour, memory, weights = request.goal, request.detour, self.memory, term_weights(self._settings)
-        rotation = np.eye(3) if goal.rotation is None else goal.rotation
-        if goal.rotation is None:
+        rotation = np.eye(3) if request.rotation is None else request.rotation
+        if request.rotation is None:
             weights["orientation"] = 0.0
         if memory is not None and goal.is_near(memory.request.goal):
             weights |= memory.approach.weights(self._settings)
@@ -351,9 +361,12 @@ class RecedingHorizonPlanner:
         request: Request,
         begin: float,
         before: Reference | None,
+        held: Reference | None,
     ) -> Plan:
         first = jax.tree.map(lambda array: np.asarray(array)[..., 0].astype(float), rollout)
         knots = first.reference
+        if held is not None:
+            knots = Reference(*(np.repeat(part[None], len(knots.position), axis=0) for part in held))
         if self._detours.may_search(request):
             # Without a plan the controller gives way to contact, and stops where that does not end it.
             count = int(MAX_PLAN_DURATION / self._settings.knot_duration)

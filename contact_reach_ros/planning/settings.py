@@ -167,7 +167,8 @@ class PlannerNodeSettings(ReplanningSettings):
 
     goal_orientation: str = setting(
         HOLD,
-        "orientation of the goal: held as it is when the goal arrives, that of the pose, or free",
+        "orientation of the goal: held as it is when the goal arrives, that of the pose, or free, and held once the "
+        "tip is there",
         choices=ORIENTATIONS,
     )
     max_spheres: int = setting(

@@ -108,8 +108,8 @@ class Goal:
     position: ArrayLike
     """(3,), m, base frame."""
     orientation: str | ArrayLike = HOLD
-    """'hold' for the orientation that the tip has when the goal is given, 'free' for any, or a unit quaternion
-    (x, y, z, w)."""
+    """'hold' for the orientation that the tip has when the goal is given, 'free' for any, which is held once the tip
+    is there, or a unit quaternion (x, y, z, w)."""
     tolerance: float = field(default=TOLERANCE, kw_only=True)
     """Distance from the position that counts as reached, m."""
     angle_tolerance: float = field(default=ANGLE_TOLERANCE, kw_only=True)

@@ -46,6 +46,20 @@ class TestProgress:
         self.follow(progress, [351])
         assert progress.state.phase is GoalPhase.SETTLED
 
+    def test_a_tip_at_rest_holds_after_a_while_at_the_goal_until_it_moves_or_leaves(self, progress):
+        self.follow(progress, range(500), speed=0.02)
+        self.follow(progress, [499])
+        assert not progress.holds
+        self.follow(progress, [500])
+        assert progress.holds
+        self.follow(progress, [501], speed=0.02)
+        assert not progress.holds
+        self.follow(progress, [502], FAR)
+        self.follow(progress, range(503, 1003))
+        assert not progress.holds
+        self.follow(progress, [1003])
+        assert progress.holds
+
     def test_it_stays_settled_when_the_arm_is_pushed_away_and_its_time_stands_still(self, progress):
         self.follow(progress, range(201))
         self.follow(progress, [3000], FAR)

@@ -71,6 +71,23 @@ def test_a_plan_is_made_again_from_its_message_alone(planner, before, goal):
         assert alone.cost != pytest.approx(first.cost, rel=1e-3)
 
 
+def test_a_plan_that_holds_the_orientation_at_a_free_goal_is_made_again(planner):
+    planner.reset()
+    request = request_at(0, Target(FLANGE))._replace(rest=np.eye(3))
+    first = planner.plan(request)
+    assert first.cost_terms["orientation"] > 0.0
+    parts = request_parts(first.number, request, None, planner.memory.best)
+    check_same(plan_again(planner, parts, request), first)
+
+
+def test_a_plan_that_holds_what_is_in_force_is_made_again(planner):
+    planner.plan(request_at(0))
+    memory, request = planner.memory, request_at(30)._replace(holds=True)
+    first = planner.plan(request)
+    assert first.stop_reason == "held"
+    check_same(plan_again(planner, request_parts(first.number, request, memory, planner.memory.best), request), first)
+
+
 def test_a_plan_on_a_detour_is_made_again(planner):
     planner.plan(request_at(0))
     detour = Detour(HOME + 0.1, 0.1, 3, True, np.stack([HOME, HOME + 0.4]), np.stack([HOME + 0.3, HOME + 0.4]))

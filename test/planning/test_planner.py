@@ -214,6 +214,32 @@ class TestGoals:
         np.testing.assert_array_equal(request.goal.position, OTHER_GOAL.position)
         assert request.goal.rotation is None
 
+    def test_one_of_any_orientation_holds_what_the_tip_has_there_and_is_free_again_elsewhere(self):
+        planner, turned = begin(make(), Goal(TIP, FREE)), HOME + np.r_[np.zeros(6), 0.3]
+        for tick, q, held in ((0, HOME, HOME), (30, turned, HOME), (60, HOME + 0.3, None), (90, turned, turned)):
+            request = planner.request(state(tick, q))
+            rotation = request.rotation
+            assert request.goal.rotation is None and planner.goal_state.angle == 0.0
+            if held is None:
+                assert rotation is None
+            else:
+                np.testing.assert_allclose(rotation, RobotModel(ARM).tip_pose(held)[1], atol=1e-12)
+        planner.command(Goal(TIP, FREE))
+        assert planner.request(state(120, HOME + 0.3)).rotation is None
+
+    @pytest.mark.parametrize(("goal", "holds"), [(Goal(TIP), True), (BESIDE, False)])
+    def test_a_tip_that_has_rested_there_for_half_a_second_is_to_hold(self, goal, holds):
+        planner = begin(make(), goal)
+        first, *_, last = requests(planner, 1, 600).values()
+        assert not first.holds and last.holds is holds
+
+    def test_one_that_moves_holds_no_orientation_of_its_own(self):
+        planner = begin(make(), Goal(TIP, FREE))
+        for tick in range(10, 80, 10):
+            request = planner.request(state(tick))
+            planner.command(Goal(TIP + 0.00005 * tick, FREE), tick * TICK_NS)
+        assert request.goal.moves and request.rotation is None
+
     @pytest.mark.parametrize(
         "goal",
         [BEYOND, Goal([0.5, 0, 0.3], np.ones(4))],

@@ -50,6 +50,21 @@ def test_ball_in_the_way_is_pushed_with_less_than_the_permitted_force(planner):
     assert np.linalg.norm(plan.predicted_positions[1] - goal.position) < 0.2
 
 
+def test_a_tip_that_rests_at_its_goal_keeps_what_is_in_force(planner):
+    first = plan_from(planner)
+    plan = planner.plan(Request(HOME, REST, 30 * MS, 70 * MS, GOAL, Spheres.none(), holds=True))
+    assert (plan.stop_reason, plan.steps) == ("held", 0)
+    for knots, held in zip((plan.positions, plan.rotations, plan.postures), first.in_force(70 * MS), strict=True):
+        np.testing.assert_array_equal(knots, np.broadcast_to(held, knots.shape))
+
+
+def test_one_that_presses_too_hard_does_not(planner):
+    plan_from(planner)
+    spheres = ball_at(beside_forearm(-0.02), stiffness=1e4)
+    plan = planner.plan(Request(HOME, REST, 30 * MS, 70 * MS, GOAL, spheres, holds=True))
+    assert plan.stop_reason != "held" and plan.steps > 0
+
+
 def test_same_calls_after_a_reset_give_the_same_plans_bit_for_bit(planner):
     def sequence() -> list[Plan]:
         planner.reset()
