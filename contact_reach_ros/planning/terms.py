@@ -25,6 +25,7 @@ from contact_reach_ros.arm import Array
 from contact_reach_ros.arm.kinematics import AXIS, POSE
 from contact_reach_ros.control.settings import IMPACT_ENERGY, LimitSettings
 from contact_reach_ros.errors import SettingsError
+from contact_reach_ros.observer.observer import EXCESS_FORCE
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer.arithmetic import dot, sum_over
 from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion
@@ -223,8 +224,10 @@ def progress(context: Context) -> jax.Array:
 
 @term("contact_limit_weight")
 def contact_limit(context: Context) -> jax.Array:
-    """Contact force above the permitted one, N."""
-    return jnp.maximum(context.rollout.contact - context.problem.permitted_force, 0.0)
+    """Contact force above the permitted one, N, on a link, or on all together if that is more than one may have."""
+    rollout, permitted = context.rollout, context.problem.permitted_force
+    together = sum_over(rollout.link_force, 1) - EXCESS_FORCE
+    return jnp.maximum(jnp.maximum(rollout.contact, together) - permitted, 0.0)
 
 
 @term("contact_weight")

@@ -31,7 +31,16 @@ from contact_reach_ros.planning.lanes.compiled import Compiled
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.solver.hybrid import slopes
 from contact_reach_ros.planning.solver.solver import CostFunction
-from contact_reach_ros.planning.terms import JOINT_LIMIT_MARGIN, ROUNDING, TERMS, Problem, Term, term, term_weights
+from contact_reach_ros.planning.terms import (
+    JOINT_LIMIT_MARGIN,
+    ROUNDING,
+    TERMS,
+    Context,
+    Problem,
+    Term,
+    term,
+    term_weights,
+)
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.settings import setting
 
@@ -60,6 +69,18 @@ def test_contact_costs_little_up_to_the_permitted_force_and_much_above(roll_out)
         excess = np.maximum(force - PERMITTED_FORCE, 0.0).sum()
         assert terms["contact_limit"][0] == pytest.approx(SMALL.contact_limit_weight * excess, rel=1e-4)
         assert terms["contact"][0] == pytest.approx(SMALL.contact_weight * force.sum(), rel=1e-4)
+
+
+def test_all_links_together_may_press_as_hard_as_the_observer_permits_one(roll_out):
+    rollout, _ = roll_out(make_problem(HOME, FLANGE, ball(FAR_BALL)), STILL)
+    links = np.zeros(rollout.link_force.shape)
+    for forces, beyond in (((9.0, 4.0), 0.0), ((8.0, 3.0, 4.0), 2.0), ((11.0,), 1.0)):
+        links[0, : len(forces), 0] = forces
+        pressing = rollout._replace(link_force=jnp.asarray(links), contact=jnp.asarray(links.max(axis=1)))
+        problem = make_problem(HOME, FLANGE, ball(FAR_BALL))
+        found = TERMS["contact_limit"].value(Context(None, 0.1, problem, STILL, pressing))
+        assert found[0, 0] == pytest.approx(beyond) and not found[1:].any()
+        links[:] = 0.0
 
 
 def test_the_authors_terms_charge_the_end_of_the_plan_and_the_square_of_every_force(roll_out):
