@@ -14,7 +14,7 @@ from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.obstacles import nearest_bodies
 from contact_reach_ros.planning.paths import levers
 from contact_reach_ros.planning.transfer.arithmetic import dot, single
-from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion
+from contact_reach_ros.planning.transfer.clearance import Bodies, intrusions
 from contact_reach_ros.planning.transfer.dynamics import link_frames, place_capsules
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.world.collision import nearest
@@ -142,4 +142,5 @@ def _clear(
     arm = arm_model(table)
     apart = (distances(table, postures, centers, radii) >= required).all(axis=(0, 1))
     capsules = place_capsules(arm, link_frames(arm, postures))
-    return apart & (intrusion(arm, capsules, bodies, margin) == 0.0)
+    own, others = intrusions(arm, capsules, bodies, margin)
+    return apart & (own + others == 0.0)

@@ -147,9 +147,9 @@ PLANES, BLOCKS = 2, 2
 """How many bodies of each kind the cost of a plan takes into account: the nearest ones."""
 _AWAY = 100.0
 """How far away the bodies are that fill up these numbers, m: out of reach, near enough for single precision."""
-LEAST_CLEARANCE = 0.002
-"""Distance from rigid bodies, and of the arm's own capsules, below which a motion is refused, m: more than the error of
-its prediction."""
+LEAST_CLEARANCE, LEAST_OWN = 0.002, -0.002
+"""Distance from rigid bodies below which a motion is refused, m: more than the error of its prediction; and that of the
+arm's own capsules, which are rounder than links."""
 _NEARER = 2e-4
 """By how much a motion that begins nearer may go nearer still, m."""
 
@@ -178,16 +178,18 @@ def check_motion(arm: Arm, q: Array, environment: Environment) -> None:
     Raises
     ------
     PlanningError
-        If a posture after the first is nearer than `LEAST_CLEARANCE`, and nearer than the first; it has the numbers.
+        If a posture after the first is nearer than `LEAST_CLEARANCE`, or to itself `LEAST_OWN`, and nearer than the
+        first; it has the numbers.
     """
-    pairs = nearest(arm, q, environment)
-    if not pairs:
-        return
-    first, *later = pairs
-    closest = min(later, key=lambda pair: pair.distance)
-    if closest.distance < min(LEAST_CLEARANCE, first.distance - _NEARER):
-        raise PlanningError(
-            f"the plan would bring the arm into a collision: {closest}, expected {1000 * LEAST_CLEARANCE:g} mm or more "
-            "between them; it is refused and the plan in force runs out into a hold: choose another goal or posture, "
-            "or move the body"
-        )
+    others, own = nearest(arm, q, environment, itself=False), nearest(arm, q, ())
+    for pairs, least in ((others, LEAST_CLEARANCE), (own, LEAST_OWN)):
+        if not pairs:
+            continue
+        first, *later = pairs
+        closest = min(later, key=lambda pair: pair.distance)
+        if closest.distance < min(least, first.distance - _NEARER):
+            raise PlanningError(
+                f"the plan would bring the arm into a collision: {closest}, expected {1000 * least:g} mm or more "
+                "between them; it is refused and the plan in force runs out into a hold: choose another goal or "
+                "posture, or move the body"
+            )

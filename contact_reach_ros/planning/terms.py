@@ -28,7 +28,7 @@ from contact_reach_ros.errors import SettingsError
 from contact_reach_ros.observer.observer import EXCESS_FORCE
 from contact_reach_ros.planning.settings import PlanningSettings
 from contact_reach_ros.planning.transfer.arithmetic import dot, sum_over
-from contact_reach_ros.planning.transfer.clearance import Bodies, intrusion
+from contact_reach_ros.planning.transfer.clearance import Bodies, intrusions
 from contact_reach_ros.planning.transfer.contact import Obstacles
 from contact_reach_ros.planning.transfer.dynamics import Capsules
 from contact_reach_ros.planning.transfer.model import ArmModel
@@ -318,14 +318,19 @@ def lead_change(context: Context) -> jax.Array:
     return sum_over(change * change, 0)
 
 
-@term(1000.0)
+_BODIES = 5.0
+"""Factor on the cost of nearness to rigid bodies: the arm's own capsules, rounder than links, may touch."""
+
+
+@term(200.0)
 def clearance(context: Context) -> jax.Array:
     """Squared intrusion into the margin around rigid bodies and the arm's own links at the ends of the knots, m².
 
-    Half of the margin costs as much as 25 mm to the goal.
+    Half of the margin around a body costs as much as 25 mm to the goal.
     """
     capsules = jax.tree.map(lambda boundaries: boundaries[1:], context.rollout.capsules)
-    return intrusion(context.arm, capsules, context.problem.bodies, CLEARANCE_MARGIN)
+    own, others = intrusions(context.arm, capsules, context.problem.bodies, CLEARANCE_MARGIN)
+    return own + _BODIES * others
 
 
 def _length(vectors: jax.Array) -> jax.Array:

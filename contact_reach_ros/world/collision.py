@@ -48,12 +48,12 @@ class Nearest(NamedTuple):
         return f"{self.link} is {1000 * self.distance:.1f} mm away from {self.other}"
 
 
-def nearest(arm: Arm, q: Array, environment: Environment) -> list[Nearest]:
-    """In each of the postures `q` (N, n), rad: of all pairs of arm and bodies, and of the arm and itself, the nearest.
+def nearest(arm: Arm, q: Array, environment: Environment, itself: bool = True) -> list[Nearest]:
+    """In each of the postures `q` (N, n), rad: of the pairs of arm and bodies, and of arm and `itself`, the nearest.
 
     The list is empty if there is nothing that could touch.
     """
-    pairs = self_pairs(arm)
+    pairs = self_pairs(arm) if itself else ()
     links = range(len(arm.base_capsules), len(shapes(arm)))
     names = [(shape_name(arm, second), shape_name(arm, first)) for first, second in pairs]
     # The base does not move: the bodies that it stands on or beside are no concern of it.

@@ -11,7 +11,7 @@ from contact_reach_ros.errors import PlanningError
 from contact_reach_ros.planning.obstacles import BLOCKS, PLANES, check_motion, nearest_bodies
 from contact_reach_ros.planning.settings import ReplanningSettings
 from contact_reach_ros.planning.terms import TERMS
-from contact_reach_ros.planning.transfer.clearance import intrusion
+from contact_reach_ros.planning.transfer.clearance import intrusions
 from contact_reach_ros.planning.transfer.dynamics import link_frames, place_capsules
 from contact_reach_ros.planning.transfer.model import arm_model
 from contact_reach_ros.stack import Stack
@@ -55,7 +55,7 @@ def program():
     arm = arm_model(ARM)
 
     def run(q, bodies, margin):
-        return intrusion(arm, place_capsules(arm, link_frames(arm, q)), bodies, margin)
+        return sum(intrusions(arm, place_capsules(arm, link_frames(arm, q)), bodies, margin))
 
     return jax.jit(run)
 

@@ -34,8 +34,10 @@ class Bodies(NamedTuple):
     """(3, Q, 1) half of their size along these axes, m."""
 
 
-def intrusion(arm: ArmModel, capsules: Capsules, bodies: Bodies | None, margin: float | jax.Array) -> jax.Array:
-    """Σ max(margin − distance, 0)² (..., B), m², over the capsules and bodies and the pairs that can touch.
+def intrusions(
+    arm: ArmModel, capsules: Capsules, bodies: Bodies | None, margin: float | jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Σ max(margin − distance, 0)² (..., B), m²: over the arm's own pairs that can touch, and over capsules and bodies.
 
     Parameters
     ----------
@@ -49,7 +51,7 @@ def intrusion(arm: ArmModel, capsules: Capsules, bodies: Bodies | None, margin: 
         Distance at which it starts, m.
     """
     start, axis = (jnp.moveaxis(points, -3, 0) for points in capsules)
-    distances = _between_capsules(arm, start, axis)
+    distances: list[jax.Array] = []
     if bodies is not None:
         radius = arm.capsule_radius[:, None]
         for plane in range(bodies.offset.shape[0]):
@@ -57,11 +59,15 @@ def intrusion(arm: ArmModel, capsules: Capsules, bodies: Bodies | None, margin: 
             nearest = dot(normal, start) - bodies.offset[plane] + jnp.minimum(dot(normal, axis), 0.0)
             distances.append(nearest - radius)
         distances += [distance - radius for distance in _from_blocks(bodies, start, axis)]
-    total = jnp.zeros((*start.shape[1:-2], start.shape[-1]), start.dtype)
-    for distance in distances:
-        short = jnp.maximum(margin - distance, 0.0)
-        total = total + sum_over(short * short, distance.ndim - 2)
-    return total
+
+    def total(distances: list[jax.Array]) -> jax.Array:
+        found = jnp.zeros((*start.shape[1:-2], start.shape[-1]), start.dtype)
+        for distance in distances:
+            short = jnp.maximum(margin - distance, 0.0)
+            found = found + sum_over(short * short, distance.ndim - 2)
+        return found
+
+    return total(_between_capsules(arm, start, axis)), total(distances)
 
 
 def _from_blocks(bodies: Bodies, start: jax.Array, axis: jax.Array) -> list[jax.Array]:

@@ -254,12 +254,11 @@ def _task_wrench(
         column = solved[0][axis:] * solved[0][axis][None]
         for joint in range(1, len(solved)):
             column = column + solved[joint][axis:] * solved[joint][axis][None]
-        matrix_part, torque_part = column[: n_task - axis], column[n_task - axis :]
+        column, torque_part = column[: n_task - axis], column[n_task - axis :]
         wanted = desired[axis] - torque_part[0]
         if n_rows > n_task + 1:
             wanted = wanted + (1.0 / implicit - 1.0) * torque_part[1]
         right.append(wanted)
-        column = matrix_part
         for earlier in range(axis):
             passed = columns[earlier][axis - earlier :]
             column = column - passed * passed[0][None]
