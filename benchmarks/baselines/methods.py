@@ -10,7 +10,7 @@ from benchmarks.baselines.contact_rrt import find_contact_path
 from benchmarks.baselines.joint_torque import TorqueController, TorquePlanner, joint_damping
 from benchmarks.baselines.method import Method
 from benchmarks.baselines.reactive import ReactivePlanner
-from benchmarks.baselines.reference_posture import PosturePlanner
+from benchmarks.baselines.reference_posture import PosturePlanner, StartPlanner
 from benchmarks.baselines.rrt_star import JointPath, PathSettings, find_path
 from benchmarks.baselines.solvers import CmaSolver, GradientSolver
 from contact_reach_ros.arm import Arm, Array
@@ -26,6 +26,7 @@ METHODS = {
     "contact_reach": "the method (paper: 'ours'): plans Δx and Δq with Algorithm 1, followed by laws (1)-(3)",
     "no_detours": "the method without detours: it stays where its horizon sees no way on",
     "reference_posture": "law (6): plans Δx alone, a steady pull to q_d = 0 moves the redundant joints",
+    "start_posture": "the same, but a pull to the posture at the start",
     "collision_free": "RRT* in joint space, the shortest of several simplified paths, followed without re-planning",
     "rrt_star": "the same with one run of plain RRT*, its path followed as it is (paper: 'collision-free')",
     "contact_rrt": "the same with a path of transition-based RRT, whose cost is the predicted force, below ε",
@@ -53,7 +54,8 @@ PLANLESS = (*PATH_METHODS, "reactive")
 _SOLVERS = {"cma_es": CmaSolver, "gradient": GradientSolver}
 """In place of Algorithm 1, by method."""
 
-_WITHOUT_DETOURS = ("no_detours", "reference_posture")
+_POSTURES = {"reference_posture": PosturePlanner, "start_posture": StartPlanner}
+_WITHOUT_DETOURS = ("no_detours", *_POSTURES)
 """Law (6) has a posture of its own, to which no detour leads."""
 
 
@@ -113,9 +115,8 @@ def make_method(
         return Method(planner, controller, TorqueController)
     if name in _WITHOUT_DETOURS:
         settings = dataclasses.replace(settings, detour_patience=0.0)
-    kind: type[RecedingHorizonPlanner] = RecedingHorizonPlanner
-    if name == "reference_posture":
-        kind = PosturePlanner
+    kind: type[RecedingHorizonPlanner] = _POSTURES.get(name, RecedingHorizonPlanner)
+    if name in _POSTURES:
         # Law (6) pulls from afar, which the controller would refuse as a posture that is too far away.
         supervision = dataclasses.replace(controller.supervision, max_posture_error=_ANY_POSTURE)
         controller = dataclasses.replace(controller, supervision=supervision)

@@ -13,7 +13,8 @@ _DAMPING = 0.05
 """Damping of the least squares, m: below this singular value motions are held back."""
 _LONGEST_STEP = 0.5
 """Longest step of a joint in one iteration, rad."""
-_POSITION_TOLERANCE, _ROTATION_TOLERANCE = 1e-4, 1e-3
+EXACT = 1e-4, 1e-3
+"""Distance, m, and angle, rad, from the pose within which a posture is at it."""
 
 
 def solve_ik(
@@ -24,8 +25,9 @@ def solve_ik(
     margin: float,
     only_axis: bool = False,
     first: bool = False,
+    tolerance: tuple[float, float] = EXACT,
 ) -> Array:
-    """Find postures (N', n), rad, with the flange at a pose, to 0.1 mm and 1 mrad, by damped least squares.
+    """Find postures (N', n), rad, with the flange at a pose by damped least squares.
 
     Each seed leads to one posture or to none.
 
@@ -41,12 +43,15 @@ def solve_ik(
         Find only the direction of the flange's z axis.
     first
         Return as soon as there is one.
+    tolerance
+        Distance, m, and angle, rad, from the pose up to which a posture is at it: joints' limits may keep the arm
+        from more.
     """
     lower, upper = arm.lower + margin, arm.upper - margin
     q = np.clip(seeds, lower, upper)
     for _ in range(_STEPS):
         error, jacobian = pose_errors(arm, position, rotation, q, only_axis)
-        if first and _is_there(error).any():
+        if first and _is_there(error, tolerance).any():
             break
         gram = jacobian @ jacobian.transpose(0, 2, 1)
         # Damped in proportion to the error, so that the last steps are Newton's.
@@ -55,13 +60,13 @@ def solve_ik(
         step = np.einsum("nij,ni->nj", jacobian, np.linalg.solve(gram, error[:, :, None])[:, :, 0])
         q = np.clip(q - np.clip(step, -_LONGEST_STEP, _LONGEST_STEP), lower, upper)
     error, _ = pose_errors(arm, position, rotation, q, only_axis)
-    return q[_is_there(error)]
+    return q[_is_there(error, tolerance)]
 
 
-def _is_there(error: Array) -> Array:
+def _is_there(error: Array, tolerance: tuple[float, float]) -> Array:
     """Which of the pose errors (N, 6), (N, 5) or (N, 3) are small enough, (N,)."""
-    found: Array = np.linalg.norm(error[:, :3], axis=1) < _POSITION_TOLERANCE
-    return found & (np.linalg.norm(error[:, 3:], axis=1) < _ROTATION_TOLERANCE)
+    found: Array = np.linalg.norm(error[:, :3], axis=1) < tolerance[0]
+    return found & (np.linalg.norm(error[:, 3:], axis=1) < tolerance[1])
 
 
 def pose_errors(

@@ -39,8 +39,11 @@ _SPEEDS = 0.01, 0.05
 _THERE = 0.01, 0.05
 """Distance, m, and angle, rad, from the goal within which an arm has come to where it should."""
 
+_NEARLY = 0.005, 0.025
+"""Distance, m, and angle, rad, from the goal of a posture that the joints' limits keep from it."""
+
 _PUSHED_AWAY = 4
-"""How many times as long again an arm waits that has been at the goal."""
+"""How many times as long again an arm waits at most that has been at the goal: as long as it was there."""
 
 _CLOSE = 0.05, 0.3
 """Distance, m, and angle, rad, from the goal within which an arm waits twice as long: contact, which becomes cheap
@@ -91,7 +94,7 @@ class Detour(NamedTuple):
     nearest: Array
     """(n,) rad, where the arm was nearest so far, to the goal or on a detour to its posture: goals may move."""
     waited: float
-    """Time since then, s; on a detour with half of what it was before, and negative for an arm that was at the goal."""
+    """Time since then, s; on a detour with half of what it was before, and less by the time at the goal."""
     number: int
     """Searches for a posture so far; each begins from others."""
     is_on: bool
@@ -183,9 +186,12 @@ class Detours:
         has_few = is_bound(self.arm, request.goal)
         if was_there and not is_there:
             if request.goal.moves or has_few:
-                return detour._replace(waited=0.0)
-            # It may come back by itself.
-            return detour._replace(nearest=q, waited=self._patience(detour, request) - (1 + _PUSHED_AWAY) * patience)
+                return detour._replace(waited=min(detour.waited, 0.0))
+            return detour._replace(nearest=q)
+        if is_there:
+            # An arm may swing in and out at the edge of its goal, where a joint limit keeps it from going on.
+            waited = max(detour.waited - elapsed, -_PUSHED_AWAY * patience)
+            return detour._replace(nearest=q, waited=waited, is_on=False)
         remaining, before = now, least[0]
         if detour.is_on:
             while len(detour.path) > 1 and np.linalg.norm(q - detour.posture) < _AHEAD:
@@ -199,7 +205,7 @@ class Detours:
         else:
             detour = detour._replace(waited=detour.waited + elapsed)
         is_late = detour.waited >= self._patience(detour, request)
-        if is_there or (detour.is_on and (remaining < _NEAR or (has_few and is_late))):
+        if detour.is_on and (remaining < _NEAR or (has_few and is_late)):
             # With few postures at the goal, the arm goes for it from wherever the way to one has led.
             detour = detour._replace(nearest=q, waited=0.0, is_on=False)
         if not is_late or detour.waited == 0.0:
@@ -242,7 +248,7 @@ class Detours:
         anywhere = random.uniform(arm.lower, arm.upper, (_CHECKED, arm.n))
         # A plan waits for this: one posture takes 5 ms, a part 60. At most goals the first one is permitted.
         for number, part in enumerate([anywhere[:_SEEDS_NEAR], *np.split(anywhere, _PARTS_CHECKED)]):
-            found = solve_ik(arm, goal.position, goal.rotation, part, _MARGINS[-1], goal.only_axis, first=not number)
+            found = _solve(arm, goal, part, _MARGINS[-1], first=not number)
             least = statics.forces(found, of_spheres=True).min(initial=least)
             if least <= self.permitted_force:
                 return
@@ -310,13 +316,17 @@ def _is_within(limits: tuple[float, float], offset: float, angle: float) -> bool
     return offset < limits[0] and angle < limits[1]
 
 
+def _solve(arm: Arm, goal: Target, seeds: Array, margin: float, first: bool = False) -> Array:
+    return solve_ik(arm, goal.position, goal.rotation, seeds, margin, goal.only_axis, first, _NEARLY)
+
+
 def _postures(arm: Arm, q: Array, goal: Target, number: int) -> Iterator[Array]:
     """Postures (N, n) at the goal, the nearest first, in parts; the same ones each time."""
     random = np.random.default_rng(number)
     for margin in (*_MARGINS, *[_MARGINS[-1]] * _PARTS):
         near = q + _SPREAD * random.standard_normal((_SEEDS_NEAR, arm.n))
         seeds = np.concatenate([near, random.uniform(arm.lower, arm.upper, (_SEEDS_ANYWHERE, arm.n))])
-        found = solve_ik(arm, goal.position, goal.rotation, seeds, margin, goal.only_axis)
+        found = _solve(arm, goal, seeds, margin)
         found = _turned(found, q, arm.lower + margin, arm.upper - margin)
         if len(found):
             found = found[np.argsort(np.linalg.norm(found - q, axis=1), kind="stable")]

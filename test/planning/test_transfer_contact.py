@@ -12,7 +12,7 @@ from contact_reach_ros.planning.transfer import pipeline
 from contact_reach_ros.planning.transfer.contact import CONTACT_STIFFNESS, Contact, Obstacles, contact_step, response
 from contact_reach_ros.planning.transfer.dynamics import link_frames
 from contact_reach_ros.planning.transfer.model import arm_model
-from contact_reach_ros.planning.unexpected_contact import places_near
+from contact_reach_ros.planning.unexpected_contact import NEAR, places_near
 from contact_reach_ros.world.collision import clearances
 from contact_reach_ros.world.spheres import Spheres
 
@@ -39,6 +39,18 @@ def test_force_is_stiffness_times_depth_on_the_touched_link_alone(touch):
     contact = touch(HOME, ball(beside_forearm(-0.005)))
     assert contact.link_force[FOREARM, 0] == pytest.approx(5.0, rel=1e-3)
     assert np.delete(contact.link_force, FOREARM).max() == 0.0
+
+
+def test_a_ball_that_yields_presses_no_link_that_is_not_near_it():
+    frames, random, pressed = link_frames(arm_model(ARM), jnp.asarray(HOME)[:, None]), np.random.default_rng(1), 0
+    run = jax.jit(lambda obstacles: contact_step(arm_model(ARM), frames, obstacles, 0.025).link_force[:, 0])
+    while pressed < 100:
+        center = table_frames(ARM, HOME)[1][random.integers(2, 6)] + random.normal(scale=0.15, size=3)
+        # It yields by less than a link enters it.
+        if -NEAR < clearances(ARM, HOME, ball_at(center))[0] < 0.0:
+            near, forces = places_near(ARM, HOME, ball_at(center))[0], np.asarray(run(ball(center, 60.0)))
+            pressed += 1
+            assert not np.delete(forces, near - 1).any()
 
 
 def test_joint_torque_is_the_derivative_of_the_contact_energy(touch):

@@ -96,7 +96,8 @@ def contact_step(
     square = dot(gap, gap) + 1e-9  # keeps the derivative finite where axis and centre meet
     inverse_distance = jax.lax.rsqrt(square)
     reach = arm.capsule_radius[:, None, None] + obstacles.radius[None]
-    depth = jnp.maximum(reach - square * inverse_distance, 0.0)
+    overlap = reach - square * inverse_distance
+    depth = jnp.maximum(overlap, 0.0)
     normal = gap * inverse_distance
     # A sphere yields along the sum of what enters it, away from all capsules that touch it at once.
     along = sum_over(normal * depth, 1)
@@ -108,7 +109,8 @@ def contact_step(
     shares = entered / (1.0 + stiffness * yielding)
     yielding = _joined(touched_compliance, shares[None])[0] / shares
     yielded = entered * (CONTACT_STIFFNESS * yielding / (1.0 + stiffness * yielding))
-    force = CONTACT_STIFFNESS * jnp.maximum(depth - cosine * yielded, 0.0)
+    # It may yield towards a capsule that it does not touch: only as far as it then overlaps is it pushed back.
+    force = CONTACT_STIFFNESS * jnp.maximum(overlap - cosine * yielded, 0.0)
     on_capsule = normal * force
     total = sum_over(on_capsule, 2)
     # Σ (start + share * segment) x force, with the sum taken before any cross product.
