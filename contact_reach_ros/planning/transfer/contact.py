@@ -109,7 +109,11 @@ def contact_step(
     shares = entered / (1.0 + stiffness * yielding)
     yielding = _joined(touched_compliance, shares[None])[0] / shares
     yielded = entered * (CONTACT_STIFFNESS * yielding / (1.0 + stiffness * yielding))
-    # It may yield towards a capsule that it does not touch: only as far as it then overlaps is it pushed back.
+    # Capsules that it leaves as it yields do not hold it up, others that it comes to do.
+    is_held = overlap > cosine * yielded
+    entered = sum_over(jnp.where(is_held, cosine * overlap, 0.0), 0)
+    stiffness = CONTACT_STIFFNESS * sum_over(jnp.where(is_held, cosine * cosine, 0.0), 0)
+    yielded = entered * (CONTACT_STIFFNESS * yielding / (1.0 + stiffness * yielding))
     force = CONTACT_STIFFNESS * jnp.maximum(overlap - cosine * yielded, 0.0)
     on_capsule = normal * force
     total = sum_over(on_capsule, 2)
