@@ -70,7 +70,7 @@ def test_obstacles_and_plan_are_those_of_the_moment(recording):
 
 def test_events_are_on_the_robots_clock(recording):
     found = [(event.kind, round(event.time, 3)) for event in recording.events]
-    assert found == [("goal", SENT), ("contact", REACHES), ("refused", REFUSED), ("contact", TOUCHED), ("stop", 3.03)]
+    assert found == [("goal", SENT), ("contact", REACHES), ("refused", REFUSED), ("contact", TOUCHED), ("stop", 3.979)]
 
 
 def test_curves_have_the_values_of_their_time(recording, signals):
