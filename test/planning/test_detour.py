@@ -72,6 +72,33 @@ def test_without_progress_a_detour_leads_to_another_posture_at_the_goal():
     assert (posture > ARM.lower + 0.19).all() and (posture < ARM.upper - 0.19).all()
 
 
+def test_a_detour_leads_to_a_goal_that_joint_limits_let_the_arm_reach_only_nearly():
+    """Each posture that is exactly there is less than 0.01 rad from a limit, and detours keep 0.02 rad."""
+    position = np.array([0.2594705, -0.1916530, 0.2253139])
+    rotation = np.array(
+        [[-0.747798, -0.256046, -0.612567], [0.634889, -0.545654, -0.546971], [-0.1942, -0.797936, 0.5706]]
+    )
+    seeds = np.random.default_rng(0).uniform(ARM.lower, ARM.upper, (256, 7))
+    assert len(solve_ik(ARM, position, rotation, seeds, 0.0)) and not len(
+        solve_ik(ARM, position, rotation, seeds, 0.02)
+    )
+    request = followed(begin(goal=Target(position, rotation)), HOME, 1.2)
+    assert request.on_detour
+    posture = request.detour.path[-1]
+    rotations, origins = link_frames(ARM, posture)
+    assert np.linalg.norm(origins[-1] - position) < 0.005 and request.goal.angle(rotations[-1]) < 0.025
+    assert (posture > ARM.lower + 0.019).all() and (posture < ARM.upper - 0.019).all()
+
+
+def test_an_arm_that_swings_at_the_edge_of_its_goal_takes_a_detour():
+    request = begin(goal=Target(ORIGINS[-1] + np.array([0.0, 0.011, 0.0]), ROTATIONS[-1]))
+    inside = HOME + np.array([0.004, 0.0, 0.0, 0.0, 0.0, 0.0, -0.004])
+    assert np.linalg.norm(link_frames(ARM, inside)[1][-1] - request.goal.position) < 0.01
+    for _ in range(4):
+        request = followed(followed(request, HOME, 0.4), inside, 0.08)
+    assert request.detour.number == 1
+
+
 def test_progress_of_a_centimetre_a_second_is_enough_and_less_of_a_slow_arm():
     def searches(speed: float, pace: float) -> int:
         """While the tip moves straight to its goal."""
